@@ -1,0 +1,83 @@
+"""WGS-84: radii of curvature, normal gravity, Earth rate and conversions (Groves 2013, ch. 2)."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from core.measurements import FloatArray
+
+SEMI_MAJOR_M: Final = 6378137.0
+"""Equatorial radius, m (NIMA TR8350.2)."""
+FLATTENING: Final = 1.0 / 298.257223563
+ECCENTRICITY_SQ: Final = FLATTENING * (2.0 - FLATTENING)
+EARTH_RATE_RADPS: Final = 7.292115e-5
+"""Rotation rate of the Earth, rad/s (NIMA TR8350.2)."""
+GM_M3PS2: Final = 3.986004418e14
+STANDARD_GRAVITY_MPS2: Final = 9.80665
+
+
+@njit(cache=True, nogil=True)
+def radii_m(lat_rad: float) -> tuple[float, float]:
+    """Meridian and transverse radii of curvature at a latitude, m (Groves eq. 2.105, 2.106)."""
+    s = math.sin(lat_rad)
+    w = 1.0 - ECCENTRICITY_SQ * s * s
+    root = math.sqrt(w)
+    return SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQ) / (w * root), SEMI_MAJOR_M / root
+
+
+@njit(cache=True, nogil=True)
+def gravity_mps2(lat_rad: float, alt_m: float) -> float:
+    """Normal gravity at geodetic latitude and ellipsoidal height, m/s2 (Somigliana; Groves eq. 2.134, 2.139)."""
+    s2 = math.sin(lat_rad) ** 2
+    at_ellipsoid = 9.7803253359 * (1.0 + 0.001931853 * s2) / math.sqrt(1.0 - ECCENTRICITY_SQ * s2)
+    polar_m = SEMI_MAJOR_M * (1.0 - FLATTENING)
+    m = EARTH_RATE_RADPS**2 * SEMI_MAJOR_M**2 * polar_m / GM_M3PS2
+    linear = 2.0 / SEMI_MAJOR_M * (1.0 + FLATTENING * (1.0 - 2.0 * s2) + m)
+    return float(at_ellipsoid * (1.0 - linear * alt_m + 3.0 * alt_m * alt_m / SEMI_MAJOR_M**2))
+
+
+def ned_offset_m(
+    lat_rad: FloatArray, lon_rad: FloatArray, alt_m: FloatArray, origin: tuple[float, float, float]
+) -> FloatArray:
+    """North, east, down of points against an origin, along the curvature at the origin.
+
+    Good to a millimetre over the few kilometres between two estimates of one position; it is
+    not a map projection for whole drives.
+
+    Parameters
+    ----------
+    lat_rad, lon_rad, alt_m : (n,) arrays
+    origin : latitude (rad), longitude (rad), ellipsoidal height (m)
+
+    Returns
+    -------
+    (n, 3) array, m
+    """
+    lat0, lon0, alt0 = origin
+    meridian, transverse = radii_m(lat0)
+    d_lon = np.mod(np.asarray(lon_rad) - lon0 + np.pi, 2 * np.pi) - np.pi
+    return np.stack(
+        [
+            (np.asarray(lat_rad) - lat0) * (meridian + alt0),
+            d_lon * (transverse + alt0) * math.cos(lat0),
+            alt0 - np.asarray(alt_m),
+        ],
+        axis=-1,
+    )
+
+
+def horizontal_distance_m(
+    lat_a_rad: FloatArray, lon_a_rad: FloatArray, lat_b_rad: FloatArray, lon_b_rad: FloatArray
+) -> FloatArray:
+    """Distance between pairs of near points (under some 10 km), m, at the ellipsoid's surface."""
+    lat_a, lat_b = np.asarray(lat_a_rad, dtype=float), np.asarray(lat_b_rad, dtype=float)
+    mid = 0.5 * (lat_a + lat_b)
+    w = 1.0 - ECCENTRICITY_SQ * np.sin(mid) ** 2
+    meridian = SEMI_MAJOR_M * (1.0 - ECCENTRICITY_SQ) / w**1.5
+    transverse = SEMI_MAJOR_M / np.sqrt(w)
+    d_lon = np.mod(np.asarray(lon_b_rad) - np.asarray(lon_a_rad) + np.pi, 2 * np.pi) - np.pi
+    return np.asarray(np.hypot((lat_b - lat_a) * meridian, d_lon * transverse * np.cos(mid)))

@@ -1,0 +1,85 @@
+"""What one packet measured, in SI units and sensor axes: the input of a session."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+TimeArray = npt.NDArray[np.int64]
+
+GNSS_COLUMNS: Final = (
+    "lat_rad",
+    "lon_rad",
+    "alt_m",
+    "vn_mps",
+    "ve_mps",
+    "vd_mps",
+    "speed_mps",
+    "course_rad",
+    "sd_h_m",
+    "sd_v_m",
+    "sd_v_mps",
+    "hdop",
+    "vdop",
+    "satellites",
+    "fix",
+)
+"""Columns of a GNSS row; NaN where the receiver does not say. ``fix`` is 0 none, 2 2-D, 3 3-D."""
+
+GNSS: Final = {name: index for index, name in enumerate(GNSS_COLUMNS)}
+
+FLAG_AIRBAG: Final = 1
+FLAG_POWER_LOSS: Final = 2
+FLAG_TOW: Final = 4
+
+
+def _no_times() -> TimeArray:
+    return np.empty(0, dtype=np.int64)
+
+
+def _no_rows(columns: int) -> FloatArray:
+    return np.empty((0, columns))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """Samples of one vehicle over one span of time, each series in increasing time.
+
+    Parameters
+    ----------
+    imu_t_ns : (n,) int64
+        Time of each inertial sample, UTC nanoseconds.
+    f_s : (n, 3) float64
+        Specific force in sensor axes, m/s2.
+    omega_s : (n, 3) float64
+        Angular rate in sensor axes, rad/s.
+    gnss_t_ns, gnss : (m,) int64, (m, len(GNSS_COLUMNS)) float64
+        Fixes; see ``GNSS_COLUMNS``.
+    magnetometer_t_ns, magnetic_s_ut : (k,) int64, (k, 3) float64
+        Magnetic field in sensor axes, microtesla.
+    speed_t_ns, speed_mps : (l,) int64, (l,) float64
+        Wheel or CAN speed, m/s.
+    temperature_c : float
+        Temperature of the box, NaN if unknown.
+    ignition : bool or None
+        None if unknown.
+    flags : int
+        Bits ``FLAG_AIRBAG``, ``FLAG_POWER_LOSS``, ``FLAG_TOW``.
+    """
+
+    imu_t_ns: TimeArray = field(default_factory=_no_times)
+    f_s: FloatArray = field(default_factory=lambda: _no_rows(3))
+    omega_s: FloatArray = field(default_factory=lambda: _no_rows(3))
+    gnss_t_ns: TimeArray = field(default_factory=_no_times)
+    gnss: FloatArray = field(default_factory=lambda: _no_rows(len(GNSS_COLUMNS)))
+    magnetometer_t_ns: TimeArray = field(default_factory=_no_times)
+    magnetic_s_ut: FloatArray = field(default_factory=lambda: _no_rows(3))
+    speed_t_ns: TimeArray = field(default_factory=_no_times)
+    speed_mps: FloatArray = field(default_factory=lambda: np.empty(0))
+    temperature_c: float = float("nan")
+    ignition: bool | None = None
+    flags: int = 0

@@ -1,0 +1,1 @@
+"""INS/GNSS: strapdown mechanisation, error-state Kalman filter, alignment."""

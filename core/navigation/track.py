@@ -1,0 +1,52 @@
+"""Rows that the filter puts out: where the vehicle was, how it stood, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+from core.measurements import FloatArray, TimeArray
+
+TRACK_COLUMNS: Final = (
+    "lat_rad",
+    "lon_rad",
+    "alt_m",
+    "vn_mps",
+    "ve_mps",
+    "vd_mps",
+    "roll_rad",
+    "pitch_rad",
+    "yaw_rad",
+    "sd_n_m",
+    "sd_e_m",
+    "sd_d_m",
+    "cov_ne_m2",
+    "sd_yaw_rad",
+    "gnss_used",
+    "mode",
+)
+"""Columns of a track row, of the vehicle's body frame; ``gnss_used`` is 1 if a fix entered since the
+row before; ``mode`` is a ``Mode``. While aligning, what is not known yet is NaN."""
+
+TRACK: Final = {name: index for index, name in enumerate(TRACK_COLUMNS)}
+
+
+class Mode(IntEnum):
+    """State of the navigation at an instant."""
+
+    ALIGNING = 0
+    AIDED = 1
+    COASTING = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Rows of the fused trajectory: ``t_ns`` (n,) int64 and ``values`` (n, len(TRACK_COLUMNS))."""
+
+    t_ns: TimeArray
+    values: FloatArray
+
+    def column(self, name: str) -> FloatArray:
+        """One column by its name in ``TRACK_COLUMNS``, (n,)."""
+        return self.values[:, TRACK[name]]

@@ -1,0 +1,249 @@
+"""Every table of the service, once. Times are UTC nanoseconds; ids that senders see are text."""
+
+from __future__ import annotations
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Boolean,
+    Column,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    SmallInteger,
+    String,
+    Table,
+    UniqueConstraint,
+)
+
+metadata = MetaData(
+    naming_convention={
+        "ix": "ix_%(column_0_N_label)s",
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_N_name)s_%(referred_table_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+# SQLite counts rows only through a column declared exactly INTEGER.
+RowId = BigInteger().with_variant(Integer, "sqlite")
+
+tenants = Table(
+    "tenants",
+    metadata,
+    Column("id", String(64), primary_key=True),
+    Column("name", String(200), nullable=False),
+    Column("created_ns", BigInteger, nullable=False),
+)
+
+api_keys = Table(
+    "api_keys",
+    metadata,
+    Column("id", String(32), primary_key=True),
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), nullable=False, index=True),
+    Column("name", String(200), nullable=False),
+    Column("key_sha256", String(64), nullable=False, unique=True),
+    Column("scopes", JSON, nullable=False),
+    Column("created_ns", BigInteger, nullable=False),
+    Column("expires_ns", BigInteger),
+    Column("revoked_ns", BigInteger),
+)
+
+vehicles = Table(
+    "vehicles",
+    metadata,
+    Column("pk", RowId, primary_key=True, autoincrement=True),
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), nullable=False),
+    Column("vehicle_id", String(128), nullable=False),
+    Column("config", JSON, nullable=False),
+    Column("registered_ns", BigInteger, nullable=False),
+    Column("updated_ns", BigInteger, nullable=False),
+    Column("last_seen_ns", BigInteger),
+    UniqueConstraint("tenant_id", "vehicle_id"),
+    sqlite_autoincrement=True,
+)
+
+journal = Table(
+    "journal",
+    metadata,
+    Column("id", RowId, primary_key=True, autoincrement=True),
+    Column("vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), nullable=False),
+    Column("boot_id", String(64), nullable=False),
+    Column("sequence", BigInteger, nullable=False),
+    Column("start_t_ns", BigInteger, nullable=False),
+    Column("received_ns", BigInteger, nullable=False),
+    Column("payload", LargeBinary, nullable=False),
+    UniqueConstraint("vehicle_pk", "boot_id", "sequence"),
+    Index("ix_journal_vehicle_pk_id", "vehicle_pk", "id"),
+    Index("ix_journal_vehicle_pk_start_t_ns", "vehicle_pk", "start_t_ns"),
+    sqlite_autoincrement=True,
+)
+"""Packets as they came, in the order in which they became durable."""
+
+checkpoints = Table(
+    "checkpoints",
+    metadata,
+    Column(
+        "vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), primary_key=True, autoincrement=False
+    ),
+    Column("journal_id", BigInteger, nullable=False),
+    Column("sequencer", JSON, nullable=False),
+    Column("session", LargeBinary, nullable=False),
+    Column("stored_ns", BigInteger, nullable=False),
+)
+"""State of a vehicle after every journal row up to ``journal_id``; recovery goes on from there."""
+
+track_points = Table(
+    "track_points",
+    metadata,
+    Column(
+        "vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), primary_key=True, autoincrement=False
+    ),
+    Column("t_ns", BigInteger, primary_key=True, autoincrement=False),
+    Column("lat_deg", Float(53), nullable=False),
+    Column("lon_deg", Float(53), nullable=False),
+    Column("alt_m", Float(53), nullable=False),
+    Column("vn_mps", Float(53), nullable=False),
+    Column("ve_mps", Float(53), nullable=False),
+    Column("vd_mps", Float(53), nullable=False),
+    Column("roll_deg", Float(53)),
+    Column("pitch_deg", Float(53)),
+    Column("yaw_deg", Float(53)),
+    Column("sd_n_m", Float(53), nullable=False),
+    Column("sd_e_m", Float(53), nullable=False),
+    Column("sd_d_m", Float(53), nullable=False),
+    Column("cov_ne_m2", Float(53), nullable=False),
+    Column("sd_yaw_deg", Float(53)),
+    Column("gnss_used", Boolean, nullable=False),
+    Column("mode", SmallInteger, nullable=False),
+    sqlite_with_rowid=False,
+)
+
+trips = Table(
+    "trips",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), nullable=False),
+    Column("start_ns", BigInteger, nullable=False),
+    Column("end_ns", BigInteger, nullable=False),
+    Column("ended", Boolean, nullable=False),
+    Column("start_lat_deg", Float(53), nullable=False),
+    Column("start_lon_deg", Float(53), nullable=False),
+    Column("end_lat_deg", Float(53), nullable=False),
+    Column("end_lon_deg", Float(53), nullable=False),
+    Column("distance_m", Float(53), nullable=False),
+    Column("moving_s", Float(53), nullable=False),
+    Column("coasting_s", Float(53), nullable=False),
+    Column("max_speed_mps", Float(53), nullable=False),
+    Index("ix_trips_vehicle_pk_start_ns", "vehicle_pk", "start_ns"),
+)
+
+accidents = Table(
+    "accidents",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), nullable=False),
+    Column("vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), nullable=False),
+    Column("trip_id", String(36)),
+    Column("t_ns", BigInteger, nullable=False),
+    Column("decided_t_ns", BigInteger, nullable=False),
+    Column("received_ns", BigInteger, nullable=False),
+    Column("stored_ns", BigInteger, nullable=False),
+    Column("status", String(16), nullable=False),
+    Column("severity", String(16), nullable=False),
+    Column("confidence", Float(53), nullable=False),
+    Column("lat_deg", Float(53), nullable=False),
+    Column("lon_deg", Float(53), nullable=False),
+    Column("alt_m", Float(53), nullable=False),
+    Column("sd_n_m", Float(53), nullable=False),
+    Column("sd_e_m", Float(53), nullable=False),
+    Column("cov_ne_m2", Float(53), nullable=False),
+    Column("heading_deg", Float(53)),
+    Column("mode", SmallInteger, nullable=False),
+    Column("detail", JSON, nullable=False),
+    Index("ix_accidents_tenant_id_t_ns", "tenant_id", "t_ns"),
+    Index("ix_accidents_vehicle_pk_t_ns", "vehicle_pk", "t_ns"),
+)
+"""``detail`` holds the impact's own figures (Δv, direction, peak, ...) by their names."""
+
+events = Table(
+    "events",
+    metadata,
+    Column("cursor", RowId, primary_key=True, autoincrement=True),
+    Column("id", String(36), nullable=False, unique=True),
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), nullable=False),
+    Column("vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE")),
+    Column("type", String(64), nullable=False),
+    Column("t_ns", BigInteger, nullable=False),
+    Column("received_ns", BigInteger, nullable=False),
+    Column("stored_ns", BigInteger, nullable=False),
+    Column("body", JSON, nullable=False),
+    Index("ix_events_tenant_id_cursor", "tenant_id", "cursor"),
+    sqlite_autoincrement=True,
+)
+"""What happened, told once: the catch-up feed, and what webhooks carry. ``received_ns`` is when the
+packet that caused it came in, so that latency can be measured."""
+
+webhook_endpoints = Table(
+    "webhook_endpoints",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), nullable=False, index=True),
+    Column("url", String(2048), nullable=False),
+    Column("description", String(500), nullable=False),
+    Column("types", JSON, nullable=False),
+    Column("secrets", JSON, nullable=False),
+    Column("status", String(16), nullable=False),
+    Column("created_ns", BigInteger, nullable=False),
+    Column("updated_ns", BigInteger, nullable=False),
+)
+"""``types`` is a list of event types, empty for all; ``secrets`` a list of {secret, expires_ns};
+``status`` is enabled or disabled."""
+
+deliveries = Table(
+    "deliveries",
+    metadata,
+    Column("id", RowId, primary_key=True, autoincrement=True),
+    Column("event_id", String(36), ForeignKey("events.id", ondelete="CASCADE"), nullable=False),
+    Column("endpoint_id", String(36), ForeignKey("webhook_endpoints.id", ondelete="CASCADE"), nullable=False),
+    Column("status", String(16), nullable=False),
+    Column("attempts", Integer, nullable=False),
+    Column("next_attempt_ns", BigInteger),
+    Column("created_ns", BigInteger, nullable=False),
+    Column("finished_ns", BigInteger),
+    Column("last_status_code", Integer),
+    Column("last_error", String(500)),
+    UniqueConstraint("event_id", "endpoint_id"),
+    Index("ix_deliveries_endpoint_id_id", "endpoint_id", "id"),
+    Index("ix_deliveries_next_attempt_ns", "next_attempt_ns"),
+    sqlite_autoincrement=True,
+)
+"""The outbox: a row an event an endpoint, written in the event's own transaction. ``status`` is
+pending, delivered, dead or cancelled; ``next_attempt_ns`` is set only while pending."""
+
+delivery_attempts = Table(
+    "delivery_attempts",
+    metadata,
+    Column("id", RowId, primary_key=True, autoincrement=True),
+    Column("delivery_id", BigInteger, ForeignKey("deliveries.id", ondelete="CASCADE"), nullable=False, index=True),
+    Column("started_ns", BigInteger, nullable=False),
+    Column("duration_ms", Float(53), nullable=False),
+    Column("status_code", Integer),
+    Column("error", String(500)),
+    sqlite_autoincrement=True,
+)
+
+idempotency_keys = Table(
+    "idempotency_keys",
+    metadata,
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), primary_key=True),
+    Column("key", String(255), primary_key=True),
+    Column("request_sha256", String(64), nullable=False),
+    Column("status", Integer, nullable=False),
+    Column("headers", JSON, nullable=False),
+    Column("body", LargeBinary, nullable=False),
+    Column("created_ns", BigInteger, nullable=False),
+)

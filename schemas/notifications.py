@@ -1,0 +1,95 @@
+"""What a webhook carries: event types, the bodies of their ``data`` and the message around them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from enum import StrEnum
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field
+
+MAX_MESSAGE_BYTES: Final = 20_000
+"""Receivers may rely on a message being smaller than this; evidence is fetched, not pushed."""
+
+
+class EventType(StrEnum):
+    """What an endpoint can ask for; ``ping`` comes only when it is tested."""
+
+    ACCIDENT_DETECTED = "accident.detected"
+    ACCIDENT_UPDATED = "accident.updated"
+    ACCIDENT_RETRACTED = "accident.retracted"
+    TRIP_COMPLETED = "trip.completed"
+    SCORE_UPDATED = "score.updated"
+    VEHICLE_OFFLINE = "vehicle.offline"
+    PING = "ping"
+
+
+class _Body(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class AccidentBody(_Body):
+    """Data of ``accident.*``: enough to act on; the evidence is at ``GET /v1/accidents/{accident_id}``."""
+
+    accident_id: str
+    vehicle_id: str
+    trip_id: str | None
+    t_ns: int = Field(description="Start of the impact, UTC")
+    status: str
+    severity: str = Field(description="low_speed, severe or airbag")
+    confidence: float = Field(ge=0, le=1)
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+    sd_n_m: float = Field(description="Standard deviation of the position to the north")
+    sd_e_m: float = Field(description="Standard deviation of the position to the east")
+    cov_ne_m2: float = Field(description="Covariance of the position's north and east errors")
+    heading_deg: float | None
+    mode: str = Field(description="How the position was known: aided, or coasting without GNSS")
+    delta_v_mps: float
+    delta_v_sd_mps: float
+    pdof_deg: float = Field(description="Where the force came from, clockwise seen from above, 0 is the front")
+    peak_mps2: float
+    duration_s: float
+    clipped: bool = Field(description="The accelerometer read its full scale, so the peak is a lower bound")
+    speed_before_mps: float | None
+    detector: str
+    paper_agrees: bool = Field(description="Whether the published fixed-threshold rule finds this accident too")
+
+
+class TripBody(_Body):
+    """Data of ``trip.completed``: what a key without ``positions:read`` may know of a trip."""
+
+    trip_id: str
+    vehicle_id: str
+    start_ns: int
+    end_ns: int
+    distance_m: float
+    moving_s: float
+    coasting_s: float
+    max_speed_mps: float
+
+
+class PingBody(_Body):
+    """Data of ``ping``."""
+
+    endpoint_id: str
+    message: str = "A test from telefuse: this endpoint is set up to receive events."
+
+
+def rfc3339(t_ns: int) -> str:
+    """A UTC time to the microsecond, as ``2026-01-31T12:00:00.000000Z``."""
+    moment = datetime.fromtimestamp(t_ns // 1_000_000_000, UTC).replace(microsecond=t_ns % 1_000_000_000 // 1000)
+    return moment.isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+def message(event_type: str, t_ns: int, data: Mapping[str, Any]) -> bytes:
+    """The request body, the same bytes at each attempt; ValueError where it is too large or not JSON (NaN)."""
+    content = {"type": event_type, "timestamp": rfc3339(t_ns), "data": data}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    encoded = text.encode()
+    if len(encoded) >= MAX_MESSAGE_BYTES:
+        raise ValueError(f"{event_type} is {len(encoded)} bytes; a webhook message is below {MAX_MESSAGE_BYTES}")
+    return encoded

@@ -1,0 +1,199 @@
+"""The sender's side of the outbox: claim what is due, record what came of it.
+
+A claim is written down before anything is sent: the delivery is leased (its next attempt is moved
+past the lease) and an open attempt is added. A process that dies in between therefore leaves a trace,
+and the delivery is sent again when the lease runs out: at least once, never lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Final
+
+from sqlalchemy import ColumnElement, Connection, and_, case, func, insert, or_, select, update
+
+from service.storage.tables import deliveries, delivery_attempts, events, webhook_endpoints
+from service.webhooks.outbox import cancel_pending
+from service.webhooks.schedule import RetrySchedule
+from service.webhooks.signing import Secret, secrets_from_json
+
+INTERRUPTED: Final = "interrupted: the service stopped before the outcome was known"
+
+MAX_ERROR_LENGTH: Final = 500
+
+_OPEN: Final = and_(delivery_attempts.c.status_code.is_(None), delivery_attempts.c.error.is_(None))
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """One delivery that is ours to send now; ``attempts`` counts this one."""
+
+    delivery_id: int
+    endpoint_id: str
+    attempts: int
+    url: str
+    secrets: tuple[Secret, ...]
+    event_id: str
+    type: str
+    t_ns: int
+    received_ns: int
+    body: dict[str, Any]
+
+
+class Outcome(StrEnum):
+    """What came of an attempt."""
+
+    DELIVERED = "delivered"
+    FAILED = "failed"
+    GONE = "gone"
+    """The receiver answered 410: it wants nothing more, ever."""
+    INTERRUPTED = "interrupted"
+    """The service is stopping; it says nothing about the receiver."""
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A finished attempt."""
+
+    claim: Claim
+    outcome: Outcome
+    duration_ms: float
+    status_code: int | None = None
+    error: str | None = None
+    retry_after_s: float | None = None
+
+
+def next_due_ns(connection: Connection, after_ns: int) -> tuple[bool, int | None]:
+    """Whether anything is due at ``after_ns``, and when the next delivery after it is."""
+    due = select(deliveries.c.id).where(deliveries.c.next_attempt_ns <= after_ns).limit(1)
+    later = select(func.min(deliveries.c.next_attempt_ns)).where(deliveries.c.next_attempt_ns > after_ns)
+    return connection.execute(due).first() is not None, connection.execute(later).scalar()
+
+
+def claim_due(
+    connection: Connection,
+    now_ns: int,
+    lease_ns: int,
+    per_endpoint: int,
+    full: Collection[str],
+    accept: Callable[[int, str], bool],
+) -> list[Claim]:
+    """Lease due deliveries, accidents first, then what waited longest.
+
+    At most ``per_endpoint`` of each endpoint are looked at and none of those in ``full``, so that a
+    backlog of one never hides another's. ``accept(delivery_id, endpoint_id)`` has the last word.
+    """
+    alert = case((events.c.type.startswith("accident."), 0), else_=1)
+    order = (alert, deliveries.c.next_attempt_ns, deliveries.c.id)
+    rank = func.row_number().over(partition_by=deliveries.c.endpoint_id, order_by=order)
+    ranked = (
+        select(deliveries.c.id, deliveries.c.endpoint_id, rank.label("rank"), alert.label("alert"))
+        .join(events, events.c.id == deliveries.c.event_id)
+        .where(deliveries.c.next_attempt_ns <= now_ns, deliveries.c.endpoint_id.not_in(full))
+        .subquery()
+    )
+    candidates = connection.execute(
+        select(ranked.c.id, ranked.c.endpoint_id)
+        .where(ranked.c.rank <= per_endpoint)
+        .order_by(ranked.c.alert, ranked.c.rank, ranked.c.id)
+    )
+    wanted = [row.id for row in candidates if accept(row.id, row.endpoint_id)]
+    if not wanted:
+        return []
+    # Another process may have been faster: take only what is still due, and wait for nobody.
+    locked = connection.execute(
+        select(deliveries.c.id)
+        .where(deliveries.c.id.in_(wanted), deliveries.c.next_attempt_ns <= now_ns)
+        .with_for_update(skip_locked=True)
+    )
+    ids = list(locked.scalars())
+    if not ids:
+        return []
+    connection.execute(
+        update(deliveries)
+        .where(deliveries.c.id.in_(ids))
+        .values(attempts=deliveries.c.attempts + 1, next_attempt_ns=now_ns + lease_ns)
+    )
+    connection.execute(
+        update(delivery_attempts).where(delivery_attempts.c.delivery_id.in_(ids), _OPEN).values(error=INTERRUPTED)
+    )
+    connection.execute(
+        insert(delivery_attempts), [{"delivery_id": id_, "started_ns": now_ns, "duration_ms": 0.0} for id_ in ids]
+    )
+    rows = connection.execute(
+        select(
+            deliveries.c.id.label("delivery_id"),
+            deliveries.c.endpoint_id,
+            deliveries.c.attempts,
+            webhook_endpoints.c.url,
+            webhook_endpoints.c.secrets,
+            events.c.id.label("event_id"),
+            events.c.type,
+            events.c.t_ns,
+            events.c.received_ns,
+            events.c.body,
+        )
+        .join(webhook_endpoints, webhook_endpoints.c.id == deliveries.c.endpoint_id)
+        .join(events, events.c.id == deliveries.c.event_id)
+        .where(deliveries.c.id.in_(ids))
+    ).mappings()
+    claims = {row["delivery_id"]: Claim(**{**row, "secrets": secrets_from_json(row["secrets"])}) for row in rows}
+    return [claims[id_] for id_ in wanted if id_ in claims]
+
+
+def record(connection: Connection, results: Iterable[Result], now_ns: int, schedule: RetrySchedule) -> list[str]:
+    """Write down what came of attempts; returns each delivery's outcome: delivered, retried, dead, gone, interrupted.
+
+    Recording a result twice, or for a delivery that was deleted meanwhile, changes nothing.
+    """
+    return [_record(connection, result, now_ns, schedule) for result in results]
+
+
+def release_interrupted(connection: Connection, now_ns: int) -> int:
+    """Make what a dead predecessor had claimed due at once; only where no other process sends."""
+    interrupted = select(delivery_attempts.c.delivery_id).where(_OPEN)
+    return connection.execute(
+        update(deliveries)
+        .where(deliveries.c.status == "pending", deliveries.c.id.in_(interrupted))
+        .values(next_attempt_ns=now_ns)
+    ).rowcount
+
+
+def _record(connection: Connection, result: Result, now_ns: int, schedule: RetrySchedule) -> str:
+    claim = result.claim
+    error = None if result.error is None else result.error[:MAX_ERROR_LENGTH]
+    connection.execute(
+        update(delivery_attempts)
+        .where(delivery_attempts.c.delivery_id == claim.delivery_id, _OPEN)
+        .values(duration_ms=result.duration_ms, status_code=result.status_code, error=error)
+    )
+    still_wanted: ColumnElement[bool] = deliveries.c.status == "pending"
+    values: dict[str, Any]
+    if result.outcome is Outcome.DELIVERED:
+        # It has arrived, even if its endpoint was disabled while it was on its way.
+        still_wanted = or_(still_wanted, deliveries.c.status == "cancelled")
+        told, values = "delivered", {"status": "delivered", "next_attempt_ns": None, "finished_ns": now_ns}
+    elif result.outcome is Outcome.INTERRUPTED:
+        told, values = "interrupted", {"next_attempt_ns": now_ns}
+    else:
+        delay_s = schedule.delay_s(claim.delivery_id, claim.attempts, result.retry_after_s)
+        if result.outcome is Outcome.GONE or delay_s is None:
+            told = "gone" if result.outcome is Outcome.GONE else "dead"
+            values = {"status": "dead", "next_attempt_ns": None, "finished_ns": now_ns}
+        else:
+            told, values = "retried", {"next_attempt_ns": now_ns + int(delay_s * 1e9)}
+    connection.execute(
+        update(deliveries)
+        .where(deliveries.c.id == claim.delivery_id, still_wanted)
+        .values(last_status_code=result.status_code, last_error=error, **values)
+    )
+    if result.outcome is Outcome.GONE:
+        connection.execute(
+            update(webhook_endpoints)
+            .where(webhook_endpoints.c.id == claim.endpoint_id)
+            .values(status="disabled", updated_ns=now_ns)
+        )
+        cancel_pending(connection, claim.endpoint_id, now_ns)
+    return told

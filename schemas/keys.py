@@ -13,11 +13,11 @@ MAX_VEHICLE_ID: Final = 128
 MAX_BOOT_ID: Final = 64
 MAX_TENANT_ID: Final = 64
 
-# A key chunk must not hold / * $ # ? nor begin with @ (Zenoh); an id in a URL must need no escape and
-# not be a dot segment. VINs, UUIDs, IMEIs, MAC addresses and plain names all pass.
-_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:+-]*", re.ASCII)
+# A key chunk must not hold / * $ # ? nor begin with @ (Zenoh); an id in a URL must need no escape and not be
+# a dot segment; one in a file name must hold no colon. VINs, UUIDs, IMEIs and plain names all pass.
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*", re.ASCII)
 
-NAME_RULE: Final = "letters, digits and . _ : + - with a letter or digit first"
+NAME_RULE: Final = "letters, digits and . _ - with a letter or digit first"
 
 
 def is_name(text: str, longest: int) -> bool:

@@ -1,0 +1,137 @@
+"""Vehicles as they are registered and read: identity, settings of the box, state."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+VEHICLE_ID_PATTERN: Final = r"^[A-Za-z0-9][A-Za-z0-9._:+-]{0,127}$"
+"""``schemas.keys.is_name`` as a pattern, for the OpenAPI document; a test holds the two together."""
+
+VehicleId = Annotated[str, StringConstraints(pattern=VEHICLE_ID_PATTERN)]
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Metres = Annotated[float, Field(ge=-50, le=50, allow_inf_nan=False)]
+AngleDeg = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
+
+
+class Model(BaseModel):
+    """Base of what callers send and get: strict about unknown fields, immutable."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SensorCalibration(Model):
+    """Scale, misalignment and bias of a three-axis sensor: true = T(misalignment) · diag(scale) · (raw − bias).
+
+    Misalignments are the small angles by which the sensor's axes leave the orthogonal frame.
+    """
+
+    scale: tuple[Finite, Finite, Finite] = Field(default=(1.0, 1.0, 1.0), description="Factor of each axis.")
+    misalignment: tuple[Finite, Finite, Finite] = Field(default=(0.0, 0.0, 0.0), description="Small angles, rad.")
+    bias: tuple[Finite, Finite, Finite] = Field(
+        default=(0.0, 0.0, 0.0), description="Offset of each axis, sensor units."
+    )
+
+
+class Calibration(Model):
+    """What is known of the box's sensors."""
+
+    accelerometer: SensorCalibration | None = Field(default=None, description="Bias in m/s².")
+    gyroscope: SensorCalibration | None = Field(default=None, description="Bias in rad/s.")
+
+
+class VehicleConfig(Model):
+    """How the box sits in the vehicle and how it is to be treated; all of it may be left out."""
+
+    mounting_rpy_deg: tuple[AngleDeg, AngleDeg, AngleDeg] | None = Field(
+        default=None,
+        description="Roll, pitch, yaw of C_b_from_s = Rz(yaw)·Ry(pitch)·Rx(roll); left out, it is found in motion.",
+    )
+    imu_lever_arm_m: tuple[Metres, Metres, Metres] = Field(
+        default=(0.0, 0.0, 0.0), description="Inertial sensor from the vehicle's reference point; forward, right, down."
+    )
+    gnss_lever_arm_m: tuple[Metres, Metres, Metres] = Field(
+        default=(0.0, 0.0, 0.0), description="GNSS antenna from the vehicle's reference point; forward, right, down."
+    )
+    gnss_time_offset_s: float = Field(
+        default=0.0, ge=-5, le=5, allow_inf_nan=False, description="To be added to the time stamps of the fixes."
+    )
+    accel_full_scale_mps2: float | None = Field(
+        default=None,
+        gt=0,
+        le=10_000,
+        description="Where the accelerometer clips; left out, it is read from the packets.",
+    )
+    vehicle_class: Literal["car", "motorcycle", "van", "truck", "bus"] = "car"
+    detector: Literal["telefuse", "paper"] = Field(default="telefuse", description="Which accident detector decides.")
+    calibration: Calibration | None = None
+
+
+class VehicleUpdate(Model):
+    """What registers or changes a vehicle; a field that is left out has its default afterwards."""
+
+    config: VehicleConfig = VehicleConfig()
+
+
+class Vehicle(Model):
+    """A registered vehicle."""
+
+    vehicle_id: VehicleId
+    zenoh_prefix: str = Field(description="Where the box puts its packets: this and /telemetry.")
+    config: VehicleConfig
+    registered_at: datetime
+    updated_at: datetime
+    last_seen_at: datetime | None = Field(description="When a packet last came in.")
+
+
+class VehicleList(Model):
+    """A page of vehicles, by id."""
+
+    vehicles: list[Vehicle]
+    next_cursor: str | None = Field(description="Give it as cursor for the page after this one; null at the end.")
+
+
+class FusedState(Model):
+    """Where the vehicle was last known to be, how it moved, and how sure that is."""
+
+    time: datetime
+    mode: Literal["aligning", "aided", "coasting"]
+    lat_deg: float
+    lon_deg: float
+    alt_ellipsoid_m: float
+    vn_mps: float
+    ve_mps: float
+    vd_mps: float
+    speed_mps: float
+    roll_deg: float | None
+    pitch_deg: float | None
+    yaw_deg: float | None
+    sd_n_m: float
+    sd_e_m: float
+    sd_d_m: float
+    cov_ne_m2: float
+    sd_yaw_deg: float | None
+
+
+class LastPacket(Model):
+    """The newest packet that became durable."""
+
+    boot_id: str
+    sequence: int
+    start_time: datetime
+    received_at: datetime
+
+
+class VehicleState(Model):
+    """What the service knows of a vehicle right now."""
+
+    vehicle_id: VehicleId
+    last_seen_at: datetime | None
+    last_packet: LastPacket | None
+    durable_sequence: int | None = Field(
+        description="In the last packet's boot: everything up to here is durable or refused for good."
+    )
+    fused: FusedState | None = Field(description="Null before the first fused position.")

@@ -1,0 +1,242 @@
+"""What a vehicle's session brings into the database: rows that may be written twice and count once.
+
+Every row has a key that follows from the vehicle and the packets alone, so that outputs computed again
+after a crash meet their own rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any, Final
+from uuid import UUID, uuid5
+
+import numpy as np
+from sqlalchemy import Connection, or_, select, update
+
+from core.driving.trips import Trip
+from core.navigation.track import TRACK, Mode, Track
+from core.session import Accident, Outputs
+from schemas.notifications import AccidentBody, EventType, TripBody
+from service.engine import checkpoints
+from service.engine.checkpoints import Checkpoint
+from service.ingest.journal import JournalEntry
+from service.storage.statements import insert_into
+from service.storage.tables import accidents, track_points, trips, vehicles
+from service.storage.vehicles import VehicleRef
+from service.webhooks import outbox
+from service.webhooks.outbox import NewEvent
+
+NAMESPACE: Final = UUID("6f1d3b0e-52c4-5d8e-9a57-0f6c1f7c2b11")
+"""Ids of accidents, trips and events are UUIDv5 in this namespace; it must never change."""
+
+TRIP_LINK_NS: Final = 3600 * 1_000_000_000
+"""An accident belongs to the newest trip begun before it, unless that one came to its end longer ago than this."""
+
+_NEEDED: Final = [TRACK[name] for name in ("lat_rad", "lon_rad", "alt_m", "vn_mps", "ve_mps", "vd_mps")] + [
+    TRACK[name] for name in ("sd_n_m", "sd_e_m", "sd_d_m", "cov_ne_m2")
+]
+
+
+def stable_id(ref: VehicleRef, t_ns: int, kind: str) -> str:
+    """The id of what happened to a vehicle at a time; the same whenever it is computed."""
+    return str(uuid5(NAMESPACE, f"{ref.tenant_id}/{ref.vehicle_id}/{t_ns}/{kind}"))
+
+
+class Effects:
+    """What one batch of one vehicle's packets brought, until it is stored."""
+
+    def __init__(self, ref: VehicleRef, track_interval_ns: int) -> None:
+        self.ref = ref
+        self.packets = 0
+        self.counts: Counter[str] = Counter()
+        self.accidents: list[tuple[Accident, int]] = []
+        self.checkpoint: Checkpoint | None = None
+        self.latest: dict[str, Any] | None = None
+        self._track_interval_ns = track_interval_ns
+        self._track: list[dict[str, Any]] = []
+        self._trips: dict[int, tuple[Trip, int]] = {}
+        self._last_seen_ns = 0
+
+    def add(self, outputs: Outputs, packet: JournalEntry) -> None:
+        """Take over what the session made of ``packet``."""
+        self.packets += 1
+        self._last_seen_ns = max(self._last_seen_ns, packet.received_ns)
+        self.counts.update(outputs.counts)
+        self._add_track(outputs.track)
+        for trip in outputs.trips:
+            self._trips[trip.start_t_ns] = (trip, packet.received_ns)
+        self.accidents.extend((accident, packet.received_ns) for accident in outputs.accidents)
+
+    def store(self, connection: Connection, stored_ns: int) -> list[NewEvent]:
+        """Write everything in the caller's transaction; returns the events that were not there before."""
+        if self._track:
+            points = insert_into(connection, track_points).on_conflict_do_nothing()
+            connection.execute(points, self._track)
+        for trip, _ in self._trips.values():
+            self._store_trip(connection, trip)
+        new = [self._store_accident(connection, *found, stored_ns) for found in self.accidents]
+        new += [self._trip_completed(*ended) for ended in self._trips.values() if ended[0].ended]
+        told = [event for event in new if outbox.publish(connection, event, stored_ns)]
+        if self._last_seen_ns:
+            connection.execute(
+                update(vehicles)
+                .where(
+                    vehicles.c.pk == self.ref.pk,
+                    or_(vehicles.c.last_seen_ns.is_(None), vehicles.c.last_seen_ns < self._last_seen_ns),
+                )
+                .values(last_seen_ns=self._last_seen_ns)
+            )
+        if self.checkpoint is not None:
+            checkpoints.save(connection, self.ref.pk, self.checkpoint, stored_ns)
+        return told
+
+    def _add_track(self, track: Track) -> None:
+        known = np.isfinite(track.values[:, _NEEDED]).all(axis=1)
+        rows = [
+            self._track_row(t_ns, values)
+            for t_ns, values in zip(track.t_ns[known].tolist(), track.values[known].tolist(), strict=True)
+            if t_ns % self._track_interval_ns == 0
+        ]
+        self._track += rows
+        if rows:
+            self.latest = rows[-1]
+
+    def _track_row(self, t_ns: int, values: list[float]) -> dict[str, Any]:
+        value = dict(zip(TRACK, values, strict=True))
+        return {
+            "vehicle_pk": self.ref.pk,
+            "t_ns": t_ns,
+            "lat_deg": math.degrees(value["lat_rad"]),
+            "lon_deg": math.degrees(value["lon_rad"]),
+            **{name: value[name] for name in ("alt_m", "vn_mps", "ve_mps", "vd_mps")},
+            **{f"{name}_deg": _degrees_or_none(value[f"{name}_rad"]) for name in ("roll", "pitch", "yaw", "sd_yaw")},
+            **{name: value[name] for name in ("sd_n_m", "sd_e_m", "sd_d_m", "cov_ne_m2")},
+            "gnss_used": value["gnss_used"] > 0,
+            "mode": int(value["mode"]),
+        }
+
+    def _store_trip(self, connection: Connection, trip: Trip) -> None:
+        insert = insert_into(connection, trips).values(
+            id=stable_id(self.ref, trip.start_t_ns, "trip"),
+            vehicle_pk=self.ref.pk,
+            start_ns=trip.start_t_ns,
+            end_ns=trip.end_t_ns,
+            ended=trip.ended,
+            start_lat_deg=math.degrees(trip.start_lat_rad),
+            start_lon_deg=math.degrees(trip.start_lon_rad),
+            end_lat_deg=math.degrees(trip.end_lat_rad),
+            end_lon_deg=math.degrees(trip.end_lon_rad),
+            distance_m=trip.distance_m,
+            moving_s=trip.moving_s,
+            coasting_s=trip.coasting_s,
+            max_speed_mps=trip.max_speed_mps,
+        )
+        # Computed again after a crash, a trip's earlier state must not take the place of its later one.
+        connection.execute(
+            insert.on_conflict_do_update(
+                index_elements=[trips.c.id],
+                set_={column.name: column for column in insert.excluded if column.name != "id"},
+                where=trips.c.end_ns <= insert.excluded.end_ns,
+            )
+        )
+
+    def _store_accident(self, connection: Connection, accident: Accident, received_ns: int, stored_ns: int) -> NewEvent:
+        impact = accident.impact
+        accident_id = stable_id(self.ref, impact.t_ns, "accident")
+        trip_id = connection.execute(
+            select(trips.c.id)
+            .where(
+                trips.c.vehicle_pk == self.ref.pk,
+                trips.c.start_ns <= impact.t_ns,
+                trips.c.end_ns >= impact.t_ns - TRIP_LINK_NS,
+            )
+            .order_by(trips.c.start_ns.desc())
+            .limit(1)
+        ).scalar_one_or_none()
+        shared: dict[str, Any] = {
+            "trip_id": trip_id,
+            "t_ns": impact.t_ns,
+            "status": "detected",
+            "severity": str(impact.severity),
+            "confidence": impact.confidence,
+            "lat_deg": math.degrees(accident.lat_rad),
+            "lon_deg": math.degrees(accident.lon_rad),
+            "alt_m": accident.alt_m,
+            "sd_n_m": accident.sd_n_m,
+            "sd_e_m": accident.sd_e_m,
+            "cov_ne_m2": accident.cov_ne_m2,
+            "heading_deg": _heading_deg(accident.heading_rad),
+        }
+        felt: dict[str, Any] = {
+            "detector": impact.detector,
+            "delta_v_mps": impact.delta_v_mps,
+            "delta_v_sd_mps": impact.delta_v_sd_mps,
+            "pdof_deg": impact.pdof_deg,
+            "peak_mps2": impact.peak_mps2,
+            "duration_s": impact.duration_s,
+            "clipped": impact.clipped,
+            "speed_before_mps": _finite_or_none(impact.speed_before_mps),
+            "paper_agrees": impact.paper_agrees,
+        }
+        connection.execute(
+            insert_into(connection, accidents)
+            .values(
+                id=accident_id,
+                tenant_id=self.ref.tenant_id,
+                vehicle_pk=self.ref.pk,
+                decided_t_ns=impact.decided_t_ns,
+                received_ns=received_ns,
+                stored_ns=stored_ns,
+                mode=int(accident.mode),
+                detail=felt | {"delta_v_b_mps": list(impact.delta_v_b_mps)},
+                **shared,
+            )
+            .on_conflict_do_nothing()
+        )
+        body = AccidentBody(
+            accident_id=accident_id,
+            vehicle_id=self.ref.vehicle_id,
+            mode=Mode(accident.mode).name.lower(),
+            **shared,
+            **felt,
+        )
+        return self._event(EventType.ACCIDENT_DETECTED, accident_id, impact.t_ns, received_ns, body)
+
+    def _trip_completed(self, trip: Trip, received_ns: int) -> NewEvent:
+        body = TripBody(
+            trip_id=stable_id(self.ref, trip.start_t_ns, "trip"),
+            vehicle_id=self.ref.vehicle_id,
+            start_ns=trip.start_t_ns,
+            end_ns=trip.end_t_ns,
+            distance_m=trip.distance_m,
+            moving_s=trip.moving_s,
+            coasting_s=trip.coasting_s,
+            max_speed_mps=trip.max_speed_mps,
+        )
+        return self._event(EventType.TRIP_COMPLETED, body.trip_id, trip.end_t_ns, received_ns, body)
+
+    def _event(
+        self, kind: EventType, about: str, t_ns: int, received_ns: int, body: AccidentBody | TripBody
+    ) -> NewEvent:
+        return NewEvent(
+            id=str(uuid5(NAMESPACE, f"{about}/{kind.value}")),
+            tenant_id=self.ref.tenant_id,
+            vehicle_pk=self.ref.pk,
+            type=kind.value,
+            t_ns=t_ns,
+            received_ns=received_ns,
+            body=body.model_dump(),
+        )
+
+
+def _finite_or_none(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _degrees_or_none(angle_rad: float) -> float | None:
+    return math.degrees(angle_rad) if math.isfinite(angle_rad) else None
+
+
+def _heading_deg(yaw_rad: float) -> float | None:
+    return math.degrees(yaw_rad) % 360.0 if math.isfinite(yaw_rad) else None

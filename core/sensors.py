@@ -1,0 +1,66 @@
+"""The error model of an inertial triad: measured = SF M X + B + w, and its inverse (seed 1, eq. 1-4)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.errors import InvalidInputError
+from core.measurements import FloatArray
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class TriadCalibration:
+    """The nine parameters of a triad of accelerometers or gyroscopes.
+
+    SF is diagonal with ``scale``; M is unit upper triangular with rows (1, -Mz, My), (0, 1, -Mx),
+    (0, 0, 1). The default is a perfect triad.
+
+    Parameters
+    ----------
+    scale : three floats
+        Diagonal of SF: measured over true, dimensionless, not zero.
+    misalignment : three floats
+        Mx, My, Mz, rad.
+    bias : three floats
+        B, in the unit of the triad (m/s2 or rad/s).
+
+    Raises
+    ------
+    InvalidInputError
+        If a value is not finite or a scale is zero.
+    """
+
+    scale: Triple = (1.0, 1.0, 1.0)
+    misalignment: Triple = (0.0, 0.0, 0.0)
+    bias: Triple = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for name, values in (("scale", self.scale), ("misalignment", self.misalignment), ("bias", self.bias)):
+            if len(values) != 3 or not all(math.isfinite(value) for value in values):
+                raise InvalidInputError(f"calibration {name} is {values}; expected three finite numbers")
+        if 0.0 in self.scale:
+            raise InvalidInputError(f"calibration scale is {self.scale}; expected no zero, 1 is a perfect axis")
+
+    def apply(self, true: FloatArray) -> FloatArray:
+        """What the triad shows, without noise, of true values (n, 3), each row by itself."""
+        x, y, z = true[:, 0], true[:, 1], true[:, 2]
+        mx, my, mz = self.misalignment
+        measured = np.empty((true.shape[0], 3))
+        measured[:, 0] = self.scale[0] * (x - mz * y + my * z) + self.bias[0]
+        measured[:, 1] = self.scale[1] * (y - mx * z) + self.bias[1]
+        measured[:, 2] = self.scale[2] * z + self.bias[2]
+        return measured
+
+    def correct(self, measured: FloatArray) -> FloatArray:
+        """The values that the triad saw: (SF M)^-1 (measured - B), (n, 3), by back substitution."""
+        mx, my, mz = self.misalignment
+        true = np.empty((measured.shape[0], 3))
+        true[:, 2] = (measured[:, 2] - self.bias[2]) / self.scale[2]
+        true[:, 1] = (measured[:, 1] - self.bias[1]) / self.scale[1] + mx * true[:, 2]
+        true[:, 0] = (measured[:, 0] - self.bias[0]) / self.scale[0] + mz * true[:, 1] - my * true[:, 2]
+        return true

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Row, delete, select
+from sqlalchemy import Connection, Engine, Row, delete, func, select
 
 from schemas import keys
 from schemas.vehicles import VehicleConfig
@@ -84,10 +84,10 @@ def put(connection: Connection, tenant_id: str, vehicle_id: str, config: Vehicle
 
 
 def newest_packet(connection: Connection, vehicle_pk: int) -> PacketRow | None:
-    """The vehicle's newest packet in the journal; decisions about gaps, with negative sequence, are no packets."""
+    """The vehicle's newest packet in the journal; rows without payload are no packets."""
     row = connection.execute(
         select(journal.c.boot_id, journal.c.sequence, journal.c.start_t_ns, journal.c.received_ns)
-        .where(journal.c.vehicle_pk == vehicle_pk, journal.c.sequence > 0)
+        .where(journal.c.vehicle_pk == vehicle_pk, journal.c.sequence > 0, func.length(journal.c.payload) > 0)
         .order_by(journal.c.id.desc())
         .limit(1)
     ).one_or_none()

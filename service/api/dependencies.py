@@ -1,0 +1,38 @@
+"""What endpoints ask for: the database, the vehicle directory, the caller's vehicle."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Depends, Path, Request
+from sqlalchemy import Connection, Engine
+
+from schemas.vehicles import VehicleId
+from service.errors import NotFoundError
+from service.storage import vehicles
+from service.storage.vehicles import VehicleDirectory, VehicleRow
+
+
+def database(request: Request) -> Engine:
+    """The database; endpoints open their own transactions, and commit before they answer."""
+    engine: Engine = request.app.state.runtime.database
+    return engine
+
+
+def directory(request: Request) -> VehicleDirectory:
+    """The vehicles, through which they must be changed."""
+    found: VehicleDirectory = request.app.state.runtime.directory
+    return found
+
+
+Database = Annotated[Engine, Depends(database)]
+Directory = Annotated[VehicleDirectory, Depends(directory)]
+VehiclePath = Annotated[VehicleId, Path(description="The vehicle's id.", examples=["WVWZZZ1KZAW000001"])]
+
+
+def the_vehicle(connection: Connection, tenant_id: str, vehicle_id: str) -> VehicleRow:
+    """The tenant's vehicle; raises NotFoundError for none, also where another tenant has one of that name."""
+    row = vehicles.find(connection, tenant_id, vehicle_id)
+    if row is None:
+        raise NotFoundError(f"there is no vehicle '{vehicle_id}'; register it with PUT /v1/vehicles/{vehicle_id}")
+    return row

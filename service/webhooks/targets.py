@@ -22,8 +22,6 @@ from service.errors import ServiceError
 Resolve = Callable[[str, int], Awaitable[list[str]]]
 """From host and port to numeric addresses, in the order in which they are to be tried."""
 
-MAX_URL_LENGTH: Final = 2048
-
 _HOST: Final = re.compile(rb"[A-Za-z0-9._-]+|[0-9A-Fa-f:.]+")
 """A name, after IDNA, or a numeric address."""
 
@@ -96,15 +94,14 @@ def check_url(text: str, *, allow_private: bool) -> httpx.URL:
     """
     try:
         url = httpx.URL(text)
+        host = url.host  # decodes IDNA, which can fail
     except (httpx.InvalidURL, ValueError) as error:
         raise TargetError(f"the webhook URL cannot be read: {error}") from None
-    if len(text) > MAX_URL_LENGTH:
-        raise TargetError(f"the webhook URL has {len(text)} characters; at most {MAX_URL_LENGTH} are kept")
     schemes = ("https", "http") if allow_private else ("https",)
     if url.scheme not in schemes:
         raise TargetError(f"a webhook URL starts with {' or '.join(s + '://' for s in schemes)}, not {url.scheme!r}")
-    if not url.host or not _HOST.fullmatch(url.raw_host):
-        raise TargetError(f"the webhook URL names no usable host ({url.host!r}), as in https://example.com/hooks")
+    if not _HOST.fullmatch(url.raw_host):
+        raise TargetError(f"the webhook URL names no usable host ({host!r}), as in https://example.com/hooks")
     if url.userinfo:
         raise TargetError("the webhook URL carries a user or password; receivers verify the signature instead")
     if url.port is not None and not 0 < url.port < 65536:
@@ -114,11 +111,11 @@ def check_url(text: str, *, allow_private: bool) -> httpx.URL:
     if url.port is not None and url.port != 443 and url.port < LOWEST_FREE_PORT:
         raise TargetError(f"webhooks are not sent to port {url.port}; use 443 or one from {LOWEST_FREE_PORT} up")
     try:
-        reason = refusal(url.host)
+        reason = refusal(host)
     except ValueError:
         return url
     if reason:
-        raise TargetError(f"webhooks are not sent to {url.host}: {reason}")
+        raise TargetError(f"webhooks are not sent to {host}: {reason}")
     return url
 
 

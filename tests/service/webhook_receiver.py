@@ -55,6 +55,7 @@ class WebhookReceiver:
         self.default = Answer()
         self.answers: deque[Answer] = deque()
         self.requests: list[Received] = []
+        self.connections = 0
         self.hung_up = threading.Event()
         """Set when a sender closed the connection on a dripping answer."""
         self._changed = threading.Condition()
@@ -92,17 +93,21 @@ class WebhookReceiver:
             self._changed.notify_all()
             return self.answers.popleft() if self.answers else self.default
 
-    def _handler(receiver) -> type[BaseHTTPRequestHandler]:  # noqa: N805 - the handler has a self of its own
+    def _handler(receiver) -> type[BaseHTTPRequestHandler]:
         class Handler(BaseHTTPRequestHandler):
             protocol_version = "HTTP/1.1"
             disable_nagle_algorithm = True
+
+            def setup(self) -> None:
+                receiver.connections += 1
+                super().setup()
 
             def do_POST(self) -> None:
                 body = self.rfile.read(int(self.headers["Content-Length"]))
                 headers = {name.lower(): value for name, value in self.headers.items()}
                 answer = receiver._next_answer(Received(self.path, headers, body, self.client_address))
                 if answer.until is not None and not answer.until.wait(30):
-                    return
+                    return None
                 if answer.drip_headers:
                     self.wfile.write(b"HTTP/1.1 200 OK\r\nX-Slow: ")
                     return self._drip(answer.drip_s or 0.01)

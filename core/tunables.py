@@ -66,7 +66,7 @@ class Tunables:
 
 
 def describe(tunables: type[Tunables]) -> tuple[Tunable, ...]:
-    """All tunables of a dataclass, in their order.
+    """All tunables of a dataclass, in their order. Fields that are ``Tunables`` themselves are left to their own class.
 
     Raises
     ------
@@ -76,6 +76,8 @@ def describe(tunables: type[Tunables]) -> tuple[Tunable, ...]:
     fields: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(tunables)  # type: ignore[arg-type]
     found = []
     for field in fields:
+        if isinstance(field.default, Tunables):
+            continue
         facts = field.metadata
         where = f"{tunables.__name__}.{field.name}"
         if not {"unit", "low", "high", "source"} <= facts.keys():

@@ -48,7 +48,8 @@ class Impact:
     ``t_ns`` is the impact's start, ``decided_t_ns`` the sample at which it was decided.
     ``delta_v_b_mps`` is forward and right change of velocity; ``delta_v_mps`` its length with
     ``delta_v_sd_mps``. ``pdof_deg`` is where the force came from, clockwise seen from above:
-    0 front, 90 right, 180 rear, 270 left. ``confidence`` is in 0..1.
+    0 front, 90 right, 180 rear, 270 left. ``confidence`` is in 0..1. An accident whose later impact is worse
+    than what was told is told again: the same ``t_ns``, the next ``revision``.
     """
 
     t_ns: int
@@ -65,3 +66,4 @@ class Impact:
     clipped: bool
     speed_before_mps: float
     paper_agrees: bool
+    revision: int = 0

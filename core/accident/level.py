@@ -1,0 +1,197 @@
+"""The last seconds of a vehicle's motion in a level frame, free of gravity: what the detectors look back on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from core.accident.events import VehicleMotion
+from core.accident.thresholds import LevelThresholds
+from core.measurements import FloatArray, TimeArray
+
+A_X, A_Y, A_Z, V_X, V_Y, SPEED, YAW_RATE, HEADING_COS, HEADING_SIN = range(9)
+COLUMNS: Final = 9
+"""Columns of ``LevelMotion.x``. ``A`` is acceleration, m/s2, gravity removed, in the level frame: z down, x along the
+vehicle's heading when the series began, so that a spinning car's change of velocity adds up. ``V`` is its horizontal
+integral, m/s, with clipped samples at ``clipped_gain`` times what they read: for suspecting only. ``SPEED``
+is the fused speed, ``YAW_RATE`` the rate about the body's z axis, rad/s, ``HEADING`` the vehicle's in that frame."""
+
+CLIPPED: Final = 1
+"""Bit of ``LevelMotion.flags``: the accelerometer read its full scale in the horizontal plane."""
+GAP: Final = 2
+"""The samples before are missing: no change of velocity is known across."""
+LEVELLED: Final = 4
+"""The filter had no attitude: the vertical is from gyroscope and gravity alone."""
+
+KEPT_NS: Final = 2_500_000_000
+"""How long rows are kept, ns: the longest window a detector may ask for (1 s), the time it may take to decide, and
+the length of a pulse, with room to spare. A choice; it changes no result."""
+
+Flags = npt.NDArray[np.uint8]
+
+
+class LevelMotion:
+    """Folds ``VehicleMotion`` into level rows and keeps the last ``KEPT_NS`` of them.
+
+    Samples that are not finite or not later than the one before are left out. Where the filter has no
+    attitude (``down_b`` NaN), the vertical is carried on by the gyroscopes and drawn to the measured specific force
+    while that is near 1 g: a complementary filter (Mahony, Hamel & Pflimlin 2008, IEEE TAC 53(5), eq. 32, gain
+    1 / ``levelling_s``).
+
+    Attributes
+    ----------
+    t_ns : (n,) int64
+    x : (n, COLUMNS) float64
+    flags : (n,) uint8
+    """
+
+    def __init__(self, thresholds: LevelThresholds) -> None:
+        self._thresholds = thresholds
+        self._down_b: FloatArray = np.full(3, np.nan)
+        self.t_ns: TimeArray = np.empty(0, dtype=np.int64)
+        self.x: FloatArray = np.empty((0, COLUMNS))
+        self.flags: Flags = np.empty(0, dtype=np.uint8)
+
+    def extend(self, motion: VehicleMotion) -> int:
+        """Take the next samples; return the first new row."""
+        n = motion.t_ns.shape[0]
+        kept = int(np.searchsorted(self.t_ns, self.t_ns[-1] - KEPT_NS)) if self.t_ns.size else 0
+        old = self.t_ns.shape[0] - kept
+        t_ns, x = np.empty(old + n, dtype=np.int64), np.empty((old + n, COLUMNS))
+        flags = np.empty(old + n, dtype=np.uint8)
+        t_ns[:old], x[:old], flags[:old] = self.t_ns[kept:], self.x[kept:], self.flags[kept:]
+        limits = self._thresholds
+        rows = _extend(
+            np.ascontiguousarray(motion.t_ns, dtype=np.int64),
+            np.ascontiguousarray(motion.f_b, dtype=np.float64),
+            np.ascontiguousarray(motion.omega_b, dtype=np.float64),
+            np.ascontiguousarray(motion.down_b, dtype=np.float64),
+            np.ascontiguousarray(motion.speed_mps, dtype=np.float64),
+            np.ascontiguousarray(motion.saturated, dtype=np.uint8),
+            motion.gravity_mps2,
+            limits.gap_s,
+            limits.levelling_s,
+            limits.levelling_band_mps2,
+            limits.clipped_from_mps2,
+            limits.clipped_gain,
+            self._down_b,
+            old,
+            t_ns,
+            x,
+            flags,
+        )
+        self.t_ns, self.x, self.flags = t_ns[:rows], x[:rows], flags[:rows]
+        return int(old)
+
+    def state(self) -> dict[str, npt.NDArray[np.generic]]:
+        """Arrays from which ``load`` goes on."""
+        kept = int(np.searchsorted(self.t_ns, self.t_ns[-1] - KEPT_NS)) if self.t_ns.size else 0
+        return {
+            "level.t_ns": self.t_ns[kept:],
+            "level.x": self.x[kept:],
+            "level.flags": self.flags[kept:],
+            "level.down_b": self._down_b,
+        }
+
+    def load(self, arrays: Mapping[str, npt.NDArray[np.generic]]) -> None:
+        """Go on from a ``state``."""
+        self.t_ns = np.array(arrays["level.t_ns"], dtype=np.int64)
+        self.x = np.array(arrays["level.x"], dtype=np.float64)
+        self.flags = np.array(arrays["level.flags"], dtype=np.uint8)
+        self._down_b = np.array(arrays["level.down_b"], dtype=np.float64)
+
+
+@njit(cache=True, nogil=True)
+def _extend(
+    in_t_ns: TimeArray,
+    f_b: FloatArray,
+    omega_b: FloatArray,
+    down_b: FloatArray,
+    speed_mps: FloatArray,
+    saturated: FloatArray,
+    gravity_mps2: float,
+    gap_s: float,
+    levelling_s: float,
+    band_mps2: float,
+    clipped_from_mps2: float,
+    clipped_gain: float,
+    down: FloatArray,
+    row: int,
+    t_ns: TimeArray,
+    x: FloatArray,
+    flags: Flags,
+) -> int:
+    """Fill rows from ``row`` on; return the row after the last. ``down`` (3,) is the carried vertical, kept up."""
+    for i in range(in_t_ns.shape[0]):
+        fx, fy, fz = f_b[i, 0], f_b[i, 1], f_b[i, 2]
+        p, q, r = omega_b[i, 0], omega_b[i, 1], omega_b[i, 2]
+        if not math.isfinite(fx + fy + fz + p + q + r):
+            continue
+        first = row == 0
+        if not first and in_t_ns[i] <= t_ns[row - 1]:
+            continue
+        dt = 0.0 if first else (in_t_ns[i] - t_ns[row - 1]) * 1e-9
+        flag = GAP if first or dt > gap_s else 0
+
+        dx, dy, dz = down_b[i, 0], down_b[i, 1], down_b[i, 2]
+        if not math.isfinite(dx + dy + dz):
+            flag |= LEVELLED
+            force = math.sqrt(fx * fx + fy * fy + fz * fz)
+            off = abs(force - gravity_mps2)
+            dx, dy, dz = down[0], down[1], down[2]
+            if not math.isfinite(dx):
+                if off > band_mps2:
+                    continue  # nothing says yet where down is
+                dx, dy, dz = -fx / force, -fy / force, -fz / force
+            else:
+                step = min(dt, gap_s)
+                pull = min(1.0, step / levelling_s) * max(0.0, 1.0 - off / band_mps2) / max(force, 1e-3)
+                ex = dx + step * (dy * r - dz * q) - pull * (fx + force * dx)
+                ey = dy + step * (dz * p - dx * r) - pull * (fy + force * dy)
+                ez = dz + step * (dx * q - dy * p) - pull * (fz + force * dz)
+                norm = math.sqrt(ex * ex + ey * ey + ez * ez)
+                dx, dy, dz = ex / norm, ey / norm, ez / norm
+        down[0], down[1], down[2] = dx, dy, dz
+
+        # Forward: body x laid into the level plane, or body z where x is the vertical itself (mounting not known yet).
+        ax, ay, az = fx + gravity_mps2 * dx, fy + gravity_mps2 * dy, fz + gravity_mps2 * dz
+        a_down = ax * dx + ay * dy + az * dz
+        plane2 = 1.0 - dx * dx
+        if plane2 > 1e-6:
+            scale = 1.0 / math.sqrt(plane2)
+            a_forward = (ax - dx * a_down) * scale
+            a_right = (ay * dz - az * dy) * scale
+        else:
+            a_forward, a_right = az, -dx * ay
+        if first:
+            cos, sin = 1.0, 0.0
+        else:
+            turn = (p * dx + q * dy + r * dz) * min(dt, gap_s)
+            c, s = x[row - 1, HEADING_COS], x[row - 1, HEADING_SIN]
+            ct, st = math.cos(turn), math.sin(turn)
+            cos, sin = c * ct - s * st, s * ct + c * st
+            norm = 1.0 / math.sqrt(cos * cos + sin * sin)
+            cos, sin = cos * norm, sin * norm
+        x[row, A_X] = a_forward * cos - a_right * sin
+        x[row, A_Y] = a_forward * sin + a_right * cos
+        x[row, A_Z] = a_down
+        if saturated[i] != 0 and a_forward * a_forward + a_right * a_right >= clipped_from_mps2 * clipped_from_mps2:
+            flag |= CLIPPED
+        if first:
+            x[row, V_X], x[row, V_Y] = 0.0, 0.0
+        else:
+            now = clipped_gain if flag & CLIPPED else 1.0
+            before = clipped_gain if flags[row - 1] & CLIPPED else 1.0
+            half = 0.5 * min(dt, gap_s)
+            x[row, V_X] = x[row - 1, V_X] + half * (now * x[row, A_X] + before * x[row - 1, A_X])
+            x[row, V_Y] = x[row - 1, V_Y] + half * (now * x[row, A_Y] + before * x[row - 1, A_Y])
+        x[row, SPEED], x[row, YAW_RATE] = speed_mps[i], r
+        x[row, HEADING_COS], x[row, HEADING_SIN] = cos, sin
+        t_ns[row], flags[row] = in_t_ns[i], flag
+        row += 1
+    return row

@@ -67,6 +67,8 @@ class Measurements:
         Temperature of the box, NaN if unknown.
     ignition : bool or None
         None if unknown.
+    accel_full_scale_mps2 : float
+        Where the accelerometer clips, NaN if unknown.
     flags : int
         Bits ``FLAG_AIRBAG``, ``FLAG_POWER_LOSS``, ``FLAG_TOW``.
     """
@@ -81,5 +83,6 @@ class Measurements:
     speed_t_ns: TimeArray = field(default_factory=_no_times)
     speed_mps: FloatArray = field(default_factory=lambda: np.empty(0))
     temperature_c: float = float("nan")
+    accel_full_scale_mps2: float = float("nan")
     ignition: bool | None = None
     flags: int = 0

@@ -2,18 +2,44 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal, Protocol
 
-from core.accident.events import Impact
-from core.driving.trips import Trip
-from core.measurements import Measurements
-from core.navigation.track import Mode, Track
+import numpy as np
+import numpy.typing as npt
+
+from core.accident.detector import ImpactDetector
+from core.accident.events import Impact, VehicleMotion
+from core.accident.paper_rule import PaperRule
+from core.accident.thresholds import DetectorThresholds, PaperThresholds
+from core.driving.trips import Trip, TripThresholds, TripTracker
+from core.earth import gravity_mps2, radii_m
+from core.measurements import FloatArray, Measurements, TimeArray
+from core.navigation import state
+from core.navigation.filter import Aids, FilterConfig, NavigationFilter, Series
+from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
+from core.preparation import Mounting, Preparation
+from core.sensors import TriadCalibration
+from core.snapshot import pack, unpack
+
+SNAPSHOT_VERSION: Final = 1
+RECENT_S: Final = 5.0
+"""Track kept to place an impact that is decided after it began."""
+DEFAULT_GRAVITY_MPS2: Final = 9.80665
+KNOWN_MOUNTING_SD_RAD: Final = 0.01
+"""Spread of a mounting that was measured: half a degree, by hand."""
+
+Arrays = dict[str, npt.NDArray[np.generic]]
 
 
 @dataclass(frozen=True, slots=True)
 class Accident:
-    """An impact with its place: where the vehicle was at ``impact.t_ns``, and how sure that is."""
+    """An impact with its place: where the vehicle was at ``impact.t_ns``, and how sure that is.
+
+    Without any fix yet the place is NaN. Angles rad, spreads m.
+    """
 
     impact: Impact
     lat_rad: float
@@ -31,7 +57,7 @@ class Outputs:
     """What one step brought: track rows every 100 ms, accidents, trips begun or changed, and counts.
 
     ``counts`` names what the step met, such as ``gnss_position.fused``, ``gnss_position.rejected_gate``,
-    ``imu.rejected_time``, ``imu.gap``; only non-zero ones.
+    ``imu.rejected_time``, ``imu.reset``; only non-zero ones.
     """
 
     track: Track
@@ -44,21 +70,162 @@ class Outputs:
 class SessionConfig:
     """What is set for a vehicle and does not change while its session runs."""
 
+    accelerometer: TriadCalibration = field(default_factory=TriadCalibration)
+    gyroscope: TriadCalibration = field(default_factory=TriadCalibration)
+    mounting: Mounting = field(default_factory=Mounting)
+    accel_full_scale_mps2: float = math.nan
+    gnss_time_offset_s: float = 0.0
+    filter: FilterConfig = field(default_factory=FilterConfig)
+    detector: Literal["telefuse", "paper"] = "telefuse"
+    impact: DetectorThresholds = field(default_factory=DetectorThresholds)
+    paper: PaperThresholds = field(default_factory=PaperThresholds)
+    trips: TripThresholds = field(default_factory=TripThresholds)
+
+
+class Detector(Protocol):
+    """What finds impacts in calibrated samples."""
+
+    def step(self, motion: VehicleMotion) -> list[Impact]:
+        """Impacts that these samples decided."""
+
+    def state(self) -> Arrays:
+        """Its whole state by name."""
+
+    def load(self, arrays: Arrays) -> None:
+        """Take over what ``state`` gave."""
+
 
 class Session:
     """Folds ``Measurements`` of one vehicle, in order, into ``Outputs``."""
 
-    def __init__(self, config: SessionConfig) -> None: ...
+    def __init__(self, config: SessionConfig) -> None:
+        self.config = config
+        filter_config = config.filter
+        if config.mounting.known and filter_config.mount_angle_sd_rad is None:
+            filter_config = replace(filter_config, mount_angle_sd_rad=KNOWN_MOUNTING_SD_RAD)
+        self._preparation = Preparation(
+            config.accelerometer, config.gyroscope, config.mounting, config.accel_full_scale_mps2
+        )
+        self._filter = NavigationFilter(filter_config)
+        self._detector: Detector = (
+            PaperRule(config.paper) if config.detector == "paper" else ImpactDetector(config.impact)
+        )
+        self._trips = TripTracker(config.trips)
+        self._recent = Track(np.empty(0, np.int64), np.empty((0, len(TRACK_COLUMNS))))
 
     def step(self, measurements: Measurements) -> Outputs:
         """Take the next measurements. Never raises for what they hold."""
-        raise NotImplementedError
+        counts: dict[str, int] = {}
+        before = self._filter.counts.copy()
+        samples = self._preparation.step(measurements, self._filter.t_ns, counts)
+        aids = self._aids(measurements)
+        fused = self._filter.step(samples.t_ns, samples.f_b, samples.omega_b, samples.saturated, aids)
+        impacts = self._detector.step(
+            VehicleMotion(
+                t_ns=samples.t_ns,
+                f_b=samples.f_b,
+                omega_b=samples.omega_b,
+                down_b=fused.epochs[:, :3],
+                speed_mps=fused.epochs[:, 3],
+                saturated=samples.saturated,
+                gravity_mps2=self._gravity_mps2(),
+            )
+        )
+        self._remember(fused.track)
+        accidents = tuple(self._place(impact) for impact in impacts)
+        trips = tuple(self._trips.step(fused.track, measurements.ignition))
+        self._add_counts(self._filter.counts - before, counts)
+        return Outputs(fused.track, accidents, trips, counts)
+
+    @property
+    def filter(self) -> NavigationFilter:
+        """The navigation filter, to be read."""
+        return self._filter
 
     def snapshot(self) -> bytes:
         """The whole state as bytes: restored, it goes on to the bit."""
-        raise NotImplementedError
+        arrays: Arrays = {"recent.t": self._recent.t_ns, "recent.rows": self._recent.values}
+        for stage, values in self._stages():
+            arrays.update({f"{stage}/{name}": value for name, value in values.items()})
+        return pack(arrays, SNAPSHOT_VERSION)
 
     @classmethod
     def restore(cls, config: SessionConfig, data: bytes) -> Session:
         """A session that goes on where ``snapshot`` was taken; raises SnapshotError."""
-        raise NotImplementedError
+        arrays = unpack(data, SNAPSHOT_VERSION)
+        session = cls(config)
+        session._recent = Track(arrays.pop("recent.t"), arrays.pop("recent.rows"))  # type: ignore[arg-type]
+        parts: dict[str, Arrays] = {"filter": {}, "detector": {}, "trips": {}}
+        for key, value in arrays.items():
+            stage, name = key.split("/", 1)
+            parts[stage][name] = value
+        session._filter.load(parts["filter"])
+        session._detector.load(parts["detector"])
+        session._trips.load(parts["trips"])
+        return session
+
+    def _stages(self) -> list[tuple[str, Arrays]]:
+        return [
+            ("filter", self._filter.arrays()),
+            ("detector", self._detector.state()),
+            ("trips", self._trips.state()),
+        ]
+
+    def _aids(self, m: Measurements) -> Aids:
+        shift_ns = round(self.config.gnss_time_offset_s * 1e9)
+        gnss: Series = (m.gnss_t_ns + shift_ns, m.gnss)
+        magnetic = self._preparation.magnetic_b_ut(m.magnetic_s_ut)
+        return Aids(gnss, (m.magnetometer_t_ns, magnetic), (m.speed_t_ns, m.speed_mps))
+
+    def _gravity_mps2(self) -> float:
+        """Gravity at the newest position of whole degrees, so that packets do not matter."""
+        x = self._filter.x
+        if not self._filter.aligned:
+            return DEFAULT_GRAVITY_MPS2
+        return gravity_mps2(math.radians(round(math.degrees(x[state.X_LAT]))), 0.0)
+
+    def _remember(self, track: Track) -> None:
+        if not len(track.t_ns):
+            return
+        t_ns = np.concatenate([self._recent.t_ns, track.t_ns])
+        rows = np.concatenate([self._recent.values, track.values])
+        kept = t_ns >= t_ns[-1] - int(RECENT_S * 1e9)
+        self._recent = Track(t_ns[kept], rows[kept])
+
+    def _place(self, impact: Impact) -> Accident:
+        """Where the vehicle was when the impact began: the row before it, carried on by its velocity."""
+        t_ns, rows = self._recent.t_ns, self._recent.values
+        if not len(t_ns):
+            nan = math.nan
+            return Accident(impact, nan, nan, nan, nan, nan, nan, nan, Mode.ALIGNING)
+        row = rows[max(int(np.searchsorted(t_ns, impact.t_ns, side="right")) - 1, 0)]
+        ahead_s = (impact.t_ns - int(t_ns[max(int(np.searchsorted(t_ns, impact.t_ns, side="right")) - 1, 0)])) * 1e-9
+
+        def value(name: str) -> float:
+            return float(row[TRACK[name]])
+
+        def moved(name: str) -> float:
+            speed = value(name)
+            return speed * ahead_s if math.isfinite(speed) else 0.0
+
+        meridian, transverse = radii_m(value("lat_rad"))
+        return Accident(
+            impact=impact,
+            lat_rad=value("lat_rad") + moved("vn_mps") / meridian,
+            lon_rad=value("lon_rad") + moved("ve_mps") / (transverse * math.cos(value("lat_rad"))),
+            alt_m=value("alt_m") - moved("vd_mps"),
+            sd_n_m=value("sd_n_m"),
+            sd_e_m=value("sd_e_m"),
+            cov_ne_m2=value("cov_ne_m2"),
+            heading_rad=value("yaw_rad"),
+            mode=Mode(int(value("mode"))),
+        )
+
+    @staticmethod
+    def _add_counts(table: npt.NDArray[np.int64], counts: dict[str, int]) -> None:
+        for aid, outcome in zip(*np.nonzero(table), strict=True):
+            name = f"{state.AIDS[aid]}.{state.OUTCOMES[outcome]}"
+            counts[name] = counts.get(name, 0) + int(table[aid, outcome])
+
+
+__all__ = ["Accident", "FloatArray", "Mounting", "Outputs", "Session", "SessionConfig", "TimeArray"]

@@ -1,0 +1,466 @@
+"""Measurement updates: GNSS, constraints, standstill, wheel speed. Each counts its outcome.
+
+Innovations are z - h(x). A refused aid changes nothing but counters (and, for positions, the memory from
+which a run of refused fixes that agree with each other is recognised as the truth: recovery).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from core.earth import radii_m
+from core.measurements import GNSS, FloatArray, TimeArray
+from core.navigation.kalman import project, update
+from core.navigation.mechanization import fold_position, matrix_of
+from core.navigation.state import (
+    A_HEIGHT,
+    A_NHC,
+    A_POSITION,
+    A_SPEED,
+    A_VELOCITY,
+    A_ZARU,
+    A_ZUPT,
+    ACCEL_BIAS,
+    ATT,
+    FUSED,
+    GYRO_BIAS,
+    I_GNSS_USED,
+    I_REJECTED,
+    I_RESETS,
+    MOUNT_PITCH,
+    MOUNT_YAW,
+    N_STATES,
+    POS,
+    REJECTED_GATE,
+    REJECTED_RANGE,
+    REJECTED_TIME,
+    RESET,
+    SPEED_SCALE,
+    T_GNSS,
+    T_NOW,
+    T_REJECTED,
+    T_SPEED,
+    VEL,
+    X_ALT,
+    X_BA,
+    X_BG,
+    X_DR,
+    X_LAT,
+    X_LON,
+    X_MOUNT_PITCH,
+    X_MOUNT_YAW,
+    X_Q,
+    X_REJECTED_N,
+    X_SCALE,
+    X_V,
+    X_W,
+)
+from core.navigation.tuning import PARAMETER
+
+_LAT, _LON, _ALT = GNSS["lat_rad"], GNSS["lon_rad"], GNSS["alt_m"]
+_VN, _VE, _VD = GNSS["vn_mps"], GNSS["ve_mps"], GNSS["vd_mps"]
+_SPEED, _COURSE = GNSS["speed_mps"], GNSS["course_rad"]
+_SD_H, _SD_V, _SD_VEL = GNSS["sd_h_m"], GNSS["sd_v_m"], GNSS["sd_v_mps"]
+_HDOP, _VDOP, _SATELLITES, _FIX = GNSS["hdop"], GNSS["vdop"], GNSS["satellites"], GNSS["fix"]
+
+_P_SD_H = PARAMETER["gnss_sd_h_m"]
+_P_UERE = PARAMETER["gnss_uere_m"]
+_P_HEIGHT = PARAMETER["gnss_height_factor"]
+_P_SD_VEL = PARAMETER["gnss_sd_v_mps"]
+_P_FLOOR = PARAMETER["gnss_sd_floor_m"]
+_P_FLOOR_V = PARAMETER["gnss_sd_v_floor_mps"]
+_P_SATELLITES = PARAMETER["gnss_min_satellites"]
+_P_AGE = PARAMETER["gnss_max_age_s"]
+_P_GATE_POS = PARAMETER["gate_position"]
+_P_GATE_VEL = PARAMETER["gate_velocity"]
+_P_GATE = PARAMETER["gate_scalar"]
+_P_RECOVERY = PARAMETER["recovery_s"]
+_P_RECOVERY_FIXES = PARAMETER["recovery_fixes"]
+_P_AGREE = PARAMETER["recovery_agreement_m"]
+_P_RECOVERY_ATT = PARAMETER["recovery_attitude_sd_rad"]
+_P_NHC = PARAMETER["nhc_sd_mps"]
+_P_NHC_LEVER = PARAMETER["nhc_lever_m"]
+_P_NHC_SPEED = PARAMETER["nhc_min_speed_mps"]
+_P_SPEED = PARAMETER["speed_sd_mps"]
+_P_ZUPT = PARAMETER["zupt_sd_mps"]
+_P_ZARU = PARAMETER["zaru_sd_radps"]
+
+COURSE_MIN_SPEED_MPS = 1.0
+"""Below this a receiver's course is noise; its speed alone then says little more than the position."""
+
+ROBUST_LIMIT = 25.0
+"""A constraint or wheel speed this far beyond its gate (five times the innovation) is refused: a skid."""
+
+
+@njit(cache=True, nogil=True)
+def correct(x: FloatArray, dx: FloatArray) -> None:
+    """Close the loop: bring the error estimate ``dx`` into the nominal state and clear it."""
+    x[X_DR] += dx[POS]
+    x[X_DR + 1] += dx[POS + 1]
+    x[X_DR + 2] += dx[POS + 2]
+    for i in range(3):
+        x[X_V + i] += dx[VEL + i]
+        x[X_BG + i] += dx[GYRO_BIAS + i]
+        x[X_BA + i] += dx[ACCEL_BIAS + i]
+    x[X_SCALE] += dx[SPEED_SCALE]
+    x[X_MOUNT_PITCH] += dx[MOUNT_PITCH]
+    x[X_MOUNT_YAW] += dx[MOUNT_YAW]
+    hx, hy, hz = 0.5 * dx[ATT], 0.5 * dx[ATT + 1], 0.5 * dx[ATT + 2]
+    w, qx, qy, qz = x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3]
+    nw = w - hx * qx - hy * qy - hz * qz
+    nx = qx + hx * w + hy * qz - hz * qy
+    ny = qy - hx * qz + hy * w + hz * qx
+    nz = qz + hx * qy - hy * qx + hz * w
+    k = 1.0 / math.sqrt(nw * nw + nx * nx + ny * ny + nz * nz)
+    x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3] = nw * k, nx * k, ny * k, nz * k
+    for i in range(N_STATES):
+        dx[i] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _position_sd_m(fix: FloatArray, par: FloatArray) -> tuple[float, float]:
+    """Horizontal (per axis) and vertical sd of a fix: stated, else by HDOP, else the default."""
+    if fix[_SD_H] > 0.0:
+        horizontal = fix[_SD_H]
+    elif fix[_HDOP] > 0.0:
+        horizontal = fix[_HDOP] * par[_P_UERE]
+    else:
+        horizontal = par[_P_SD_H]
+    horizontal = max(horizontal, par[_P_FLOOR])
+    if fix[_SD_V] > 0.0:
+        vertical = max(fix[_SD_V], par[_P_FLOOR])
+    elif fix[_VDOP] > 0.0:
+        vertical = max(fix[_VDOP] * par[_P_UERE], par[_P_FLOOR])
+    else:
+        vertical = par[_P_HEIGHT] * horizontal
+    return horizontal, vertical
+
+
+@njit(cache=True, nogil=True)
+def _usable(fix: FloatArray, par: FloatArray) -> bool:
+    if not (math.isfinite(fix[_LAT]) and math.isfinite(fix[_LON])):
+        return False
+    if fix[_FIX] < 2.0:
+        return False
+    return not fix[_SATELLITES] < par[_P_SATELLITES]
+
+
+@njit(cache=True, nogil=True)
+def _reset_position(
+    x: FloatArray, ti: TimeArray, p: FloatArray, n: int, nu: FloatArray, sd_h: float, par: FloatArray
+) -> None:
+    """Take the position from the fixes that agree against us; open velocity and heading for what follows."""
+    for i in range(2):
+        x[X_DR + i] += nu[i]
+        for j in range(n):
+            p[(POS + i) * n + j] = 0.0
+            p[j * n + POS + i] = 0.0
+        p[(POS + i) * n + POS + i] = sd_h * sd_h
+        # The drift that made the offset: it grew over the run of refusals at least.
+        run_s = max(1.0, (ti[T_NOW] - ti[T_GNSS]) * 1e-9)
+        p[(VEL + i) * n + VEL + i] += (nu[i] / run_s) ** 2 + 0.25
+    p[(ATT + 2) * n + ATT + 2] += par[_P_RECOVERY_ATT] ** 2
+
+
+@njit(cache=True, nogil=True)
+def fuse_position(
+    x: FloatArray,
+    ti: TimeArray,
+    p: FloatArray,
+    t_ns: int,
+    fix: FloatArray,
+    lever_b: FloatArray,
+    par: FloatArray,
+    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+    counts: TimeArray,
+) -> bool:
+    """GNSS position: horizontal by one gate of two dimensions, height by its own. True if fused.
+
+    ``lever_b`` is the antenna against the inertial sensor, body axes, m.
+    """
+    dx, ph, h, index = work
+    n = N_STATES
+    if not _usable(fix, par):
+        counts[A_POSITION, REJECTED_RANGE] += 1
+        return False
+    fold_position(x, ti)
+    lag_s = (ti[T_NOW] - t_ns) * 1e-9
+    meridian, transverse = radii_m(x[X_LAT])
+    c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
+    ln = c[0] * lever_b[0] + c[1] * lever_b[1] + c[2] * lever_b[2]
+    le = c[3] * lever_b[0] + c[4] * lever_b[1] + c[5] * lever_b[2]
+    ld = c[6] * lever_b[0] + c[7] * lever_b[1] + c[8] * lever_b[2]
+    d_lon = fix[_LON] - x[X_LON]
+    if d_lon > math.pi:
+        d_lon -= 2.0 * math.pi
+    elif d_lon < -math.pi:
+        d_lon += 2.0 * math.pi
+    nu = np.empty(3)
+    nu[0] = (fix[_LAT] - x[X_LAT]) * (meridian + x[X_ALT]) + lag_s * x[X_V] - ln
+    nu[1] = d_lon * (transverse + x[X_ALT]) * math.cos(x[X_LAT]) + lag_s * x[X_V + 1] - le
+    nu[2] = -(fix[_ALT] - x[X_ALT]) + lag_s * x[X_V + 2] - ld
+    sd_h, sd_v = _position_sd_m(fix, par)
+
+    rr = sd_h * sd_h
+    snn, see, sne = p[0] + rr, p[n + 1] + rr, p[1]
+    determinant = snn * see - sne * sne
+    ratio = (see * nu[0] * nu[0] - 2.0 * sne * nu[0] * nu[1] + snn * nu[1] * nu[1]) / determinant
+    fused = ratio <= par[_P_GATE_POS]
+    if not fused:
+        counts[A_POSITION, REJECTED_GATE] += 1
+        away_n, away_e = nu[0] - x[X_REJECTED_N], nu[1] - x[X_REJECTED_N + 1]
+        agreement = par[_P_AGREE] + 3.0 * sd_h
+        agrees = away_n * away_n + away_e * away_e <= agreement * agreement
+        if ti[I_REJECTED] == 0 or not agrees:
+            ti[T_REJECTED] = t_ns
+            ti[I_REJECTED] = 0
+        ti[I_REJECTED] += 1
+        x[X_REJECTED_N], x[X_REJECTED_N + 1] = nu[0], nu[1]
+        long_enough = (t_ns - ti[T_REJECTED]) * 1e-9 >= par[_P_RECOVERY]
+        if not (long_enough and ti[I_REJECTED] >= par[_P_RECOVERY_FIXES]):
+            return False
+        _reset_position(x, ti, p, n, nu, sd_h, par)
+        counts[A_POSITION, RESET] += 1
+        ti[I_RESETS] += 1
+    else:
+        for i in range(2):
+            index[0] = POS + i
+            h[0] = 1.0
+            # (phi x l)_i = l_{i+2} phi_{i+1} - l_{i+1} phi_{i+2}, cyclic
+            index[1], index[2] = ATT + (i + 1) % 3, ATT + (i + 2) % 3
+            h[1] = ld if i == 0 else ln
+            h[2] = -le if i == 0 else -ld
+            s = project(p, n, index, h, 3, ph) + rr
+            update(p, n, ph, s, nu[i] - dx[POS + i] - h[1] * dx[index[1]] - h[2] * dx[index[2]], dx)
+        counts[A_POSITION, FUSED] += 1
+        ti[I_RESETS] = 0
+    ti[I_REJECTED] = 0
+    ti[T_GNSS] = ti[T_NOW]
+    ti[I_GNSS_USED] = 1
+
+    if math.isfinite(nu[2]):
+        index[0], h[0] = POS + 2, 1.0
+        s = project(p, n, index, h, 1, ph) + sd_v * sd_v
+        innovation = nu[2] - dx[POS + 2]
+        if innovation * innovation <= par[_P_GATE] * s or not fused:
+            update(p, n, ph, s, innovation, dx)
+            counts[A_HEIGHT, FUSED] += 1
+        else:
+            counts[A_HEIGHT, REJECTED_GATE] += 1
+            # A height that stays wrong must not stay refused: a quarter of its excess is believed next time.
+            p[(POS + 2) * n + POS + 2] += 0.25 * innovation * innovation / par[_P_GATE]
+    correct(x, dx)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def fuse_velocity(
+    x: FloatArray,
+    ti: TimeArray,
+    p: FloatArray,
+    fix: FloatArray,
+    lever_b: FloatArray,
+    par: FloatArray,
+    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+    counts: TimeArray,
+) -> None:
+    """GNSS velocity, or speed with course: horizontal by one gate of two dimensions, vertical by its own."""
+    dx, ph, h, index = work
+    n = N_STATES
+    vn, ve, vd = fix[_VN], fix[_VE], fix[_VD]
+    if not (math.isfinite(vn) and math.isfinite(ve)):
+        if not (math.isfinite(fix[_SPEED]) and math.isfinite(fix[_COURSE])):
+            return
+        if fix[_SPEED] < COURSE_MIN_SPEED_MPS:
+            return
+        vn, ve = fix[_SPEED] * math.cos(fix[_COURSE]), fix[_SPEED] * math.sin(fix[_COURSE])
+    if not _usable(fix, par):
+        counts[A_VELOCITY, REJECTED_RANGE] += 1
+        return
+    sd = max(fix[_SD_VEL], par[_P_FLOOR_V]) if fix[_SD_VEL] > 0.0 else par[_P_SD_VEL]
+    c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
+    wx, wy, wz = x[X_W] - x[X_BG], x[X_W + 1] - x[X_BG + 1], x[X_W + 2] - x[X_BG + 2]
+    bx = wy * lever_b[2] - wz * lever_b[1]
+    by = wz * lever_b[0] - wx * lever_b[2]
+    bz = wx * lever_b[1] - wy * lever_b[0]
+    nu_n = vn - x[X_V] - (c[0] * bx + c[1] * by + c[2] * bz)
+    nu_e = ve - x[X_V + 1] - (c[3] * bx + c[4] * by + c[5] * bz)
+    nu_d = vd - x[X_V + 2] - (c[6] * bx + c[7] * by + c[8] * bz)
+    rr = sd * sd
+    i0 = VEL * n + VEL
+    snn, see, sne = p[i0] + rr, p[i0 + n + 1] + rr, p[i0 + 1]
+    determinant = snn * see - sne * sne
+    ratio = (see * nu_n * nu_n - 2.0 * sne * nu_n * nu_e + snn * nu_e * nu_e) / determinant
+    if ratio > par[_P_GATE_VEL]:
+        counts[A_VELOCITY, REJECTED_GATE] += 1
+        return
+    counts[A_VELOCITY, FUSED] += 1
+    h[0] = 1.0
+    for i in range(3):
+        nu = nu_n if i == 0 else (nu_e if i == 1 else nu_d)
+        index[0] = VEL + i
+        s = project(p, n, index, h, 1, ph) + rr
+        innovation = nu - dx[VEL + i]
+        if i < 2 or (math.isfinite(nu) and innovation * innovation <= par[_P_GATE] * s):
+            update(p, n, ph, s, innovation, dx)
+    correct(x, dx)
+
+
+@njit(cache=True, nogil=True)
+def _fuse_body_velocity(
+    x: FloatArray,
+    p: FloatArray,
+    u: tuple[float, float, float],
+    du_pitch: tuple[float, float, float],
+    du_yaw: tuple[float, float, float],
+    reading: float,
+    gain: float,
+    variance: float,
+    gate: float,
+    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+) -> bool:
+    """Fuse ``reading`` = gain (u . v_b) with the axis ``u`` in b and its derivatives by the mounting angles.
+
+    d(u . C' v) = (C u) . dv + ((C u) x v) . phi + (du . v_b): from C(true) = (I + [phi x]) C.
+    """
+    dx, ph, h, index = work
+    n = N_STATES
+    c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
+    vn, ve, vd = x[X_V], x[X_V + 1], x[X_V + 2]
+    bx = c[0] * vn + c[3] * ve + c[6] * vd
+    by = c[1] * vn + c[4] * ve + c[7] * vd
+    bz = c[2] * vn + c[5] * ve + c[8] * vd
+    wn = gain * (c[0] * u[0] + c[1] * u[1] + c[2] * u[2])
+    we = gain * (c[3] * u[0] + c[4] * u[1] + c[5] * u[2])
+    wd = gain * (c[6] * u[0] + c[7] * u[1] + c[8] * u[2])
+    along = u[0] * bx + u[1] * by + u[2] * bz
+    index[0], index[1], index[2] = VEL, VEL + 1, VEL + 2
+    h[0], h[1], h[2] = wn, we, wd
+    index[3], index[4], index[5] = ATT, ATT + 1, ATT + 2
+    h[3], h[4], h[5] = we * vd - wd * ve, wd * vn - wn * vd, wn * ve - we * vn
+    index[6], h[6] = MOUNT_PITCH, gain * (du_pitch[0] * bx + du_pitch[1] * by + du_pitch[2] * bz)
+    index[7], h[7] = MOUNT_YAW, gain * (du_yaw[0] * bx + du_yaw[1] * by + du_yaw[2] * bz)
+    index[8], h[8] = SPEED_SCALE, along if gain != 1.0 or reading != 0.0 else 0.0
+    innovation = reading - gain * along
+    s = project(p, n, index, h, 9, ph) + variance
+    excess = innovation * innovation / (gate * s)
+    if excess > ROBUST_LIMIT:
+        return False
+    # Past the gate the reading still pulls, with the variance under which it would just pass.
+    s *= max(excess, 1.0)
+    update(p, n, ph, s, innovation, dx)
+    correct(x, dx)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def fuse_non_holonomic(
+    x: FloatArray,
+    p: FloatArray,
+    par: FloatArray,
+    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+    counts: TimeArray,
+) -> None:
+    """A car goes where its wheels point: no lateral and no vertical speed in the vehicle's own axes.
+
+    The lateral spread grows with the yaw rate, since the box is not at the rear axle.
+    """
+    speed_sq = x[X_V] ** 2 + x[X_V + 1] ** 2
+    if speed_sq < par[_P_NHC_SPEED] ** 2:
+        counts[A_NHC, REJECTED_RANGE] += 1
+        return
+    sp, cp = math.sin(x[X_MOUNT_PITCH]), math.cos(x[X_MOUNT_PITCH])
+    sy, cy = math.sin(x[X_MOUNT_YAW]), math.cos(x[X_MOUNT_YAW])
+    yaw_rate = x[X_W + 2] - x[X_BG + 2]
+    base = par[_P_NHC] * par[_P_NHC]
+    slip = par[_P_NHC_LEVER] * yaw_rate
+    none = (0.0, 0.0, 0.0)
+    lateral = _fuse_body_velocity(
+        x, p, (-sy, cy, 0.0), none, (-cy, -sy, 0.0), 0.0, 1.0, base + slip * slip, par[_P_GATE], work
+    )
+    vertical = _fuse_body_velocity(
+        x,
+        p,
+        (cy * sp, sy * sp, cp),
+        (cy * cp, sy * cp, -sp),
+        (-sy * sp, cy * sp, 0.0),
+        0.0,
+        1.0,
+        base,
+        par[_P_GATE],
+        work,
+    )
+    counts[A_NHC, FUSED if lateral else REJECTED_GATE] += 1
+    counts[A_NHC, FUSED if vertical else REJECTED_GATE] += 1
+
+
+@njit(cache=True, nogil=True)
+def fuse_speed(
+    x: FloatArray,
+    ti: TimeArray,
+    p: FloatArray,
+    reading_mps: float,
+    par: FloatArray,
+    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+    counts: TimeArray,
+) -> None:
+    """Wheel speed: (1 + scale) times the speed along the vehicle's forward axis."""
+    sp, cp = math.sin(x[X_MOUNT_PITCH]), math.cos(x[X_MOUNT_PITCH])
+    sy, cy = math.sin(x[X_MOUNT_YAW]), math.cos(x[X_MOUNT_YAW])
+    ti[T_SPEED] = ti[T_NOW]
+    gain = 1.0 + x[X_SCALE]
+    if gain == 1.0:
+        gain = 1.0 + 1e-12  # so that the scale's own derivative is kept
+    fused = _fuse_body_velocity(
+        x,
+        p,
+        (cy * cp, sy * cp, -sp),
+        (-cy * sp, -sy * sp, -cp),
+        (-sy * cp, cy * cp, 0.0),
+        reading_mps,
+        gain,
+        par[_P_SPEED] ** 2,
+        par[_P_GATE],
+        work,
+    )
+    counts[A_SPEED, FUSED if fused else REJECTED_GATE] += 1
+
+
+@njit(cache=True, nogil=True)
+def fuse_standstill(
+    x: FloatArray,
+    p: FloatArray,
+    mean_omega_b: FloatArray,
+    par: FloatArray,
+    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+    counts: TimeArray,
+) -> None:
+    """Standing: velocity is zero, and what the gyroscopes read is their bias (Earth rate is below their noise)."""
+    dx, ph, h, index = work
+    n = N_STATES
+    h[0] = 1.0
+    variance = par[_P_ZUPT] ** 2
+    for i in range(3):
+        index[0] = VEL + i
+        s = project(p, n, index, h, 1, ph) + variance
+        update(p, n, ph, s, -x[X_V + i] - dx[VEL + i], dx)
+    counts[A_ZUPT, FUSED] += 1
+    variance = par[_P_ZARU] ** 2
+    for i in range(3):
+        index[0] = GYRO_BIAS + i
+        s = project(p, n, index, h, 1, ph) + variance
+        update(p, n, ph, s, mean_omega_b[i] - x[X_BG + i] - dx[GYRO_BIAS + i], dx)
+    counts[A_ZARU, FUSED] += 1
+    correct(x, dx)
+
+
+@njit(cache=True, nogil=True)
+def too_old(ti: TimeArray, t_ns: int, par: FloatArray, aid: int, counts: TimeArray) -> bool:
+    """Whether a sample lies too far behind the newest inertial one; counted if so."""
+    if (ti[T_NOW] - t_ns) * 1e-9 > par[_P_AGE]:
+        counts[aid, REJECTED_TIME] += 1
+        return True
+    return False

@@ -1,0 +1,72 @@
+"""Layout of the filter's state: names of the error states and of the flat arrays that hold everything.
+
+The error is truth minus estimate. Position, velocity and attitude errors are in n; C_n_from_b(true) =
+(I + [phi x]) C_n_from_b(estimate). Fifteen navigation states are followed by three of the vehicle that
+make its constraints usable: the scale of the wheel speed and the pitch and yaw of the box in the car.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+# Error states: first index of each group.
+POS: Final = 0
+VEL: Final = 3
+ATT: Final = 6
+GYRO_BIAS: Final = 9
+ACCEL_BIAS: Final = 12
+SPEED_SCALE: Final = 15
+MOUNT_PITCH: Final = 16
+MOUNT_YAW: Final = 17
+N_STATES: Final = 18
+
+# The nominal state ``x``, float64.
+X_Q: Final = 0  # q_n_from_b, 4
+X_V: Final = 4  # v_n, m/s, 3
+X_LAT: Final = 7
+X_LON: Final = 8
+X_ALT: Final = 9
+X_BG: Final = 10  # gyroscope bias, rad/s, 3
+X_BA: Final = 13  # accelerometer bias, m/s2, 3
+X_SCALE: Final = 16
+X_MOUNT_PITCH: Final = 17
+X_MOUNT_YAW: Final = 18
+X_F: Final = 19  # last specific force f_b, bias not removed, m/s2, 3
+X_W: Final = 22  # last rate omega_b, bias not removed, rad/s, 3
+X_DR: Final = 25  # metres north, east, down since latitude and longitude were last folded, 3
+X_DV: Final = 28  # integral of C_n_from_b f_b since the covariance was last propagated, m/s, 3
+X_C0: Final = 31  # C_n_from_b when the covariance was last propagated, 9
+X_G: Final = 40  # gravity plus Coriolis in n, m/s2, 3
+X_WIN: Final = 43  # rate of n against i, rad/s, 3
+X_BLOCK: Final = 46  # sums of f_b and omega_b over the open block, 6
+X_SATURATED_S: Final = 52  # clipped time since the covariance was last propagated, s
+X_REJECTED_N: Final = 53  # innovation of the last refused fix, m, 2
+X_BRIDGED_S: Final = 55  # time bridged without samples since the covariance was last propagated, s
+NX: Final = 56
+
+# Integer state ``ti``, int64: times in ns and counters.
+T_NOW: Final = 0
+T_COV: Final = 1  # covariance is valid at
+T_FOLD: Final = 2  # latitude and longitude are valid at
+T_NEXT_BLOCK: Final = 3
+T_NEXT_CONSTRAINT: Final = 4
+T_NEXT_OUTPUT: Final = 5
+T_GNSS: Final = 6  # last position fused
+T_SPEED: Final = 7  # last wheel speed used
+T_REJECTED: Final = 8  # first of a run of refused positions, 0 if none
+I_REJECTED: Final = 9  # length of that run
+I_RESETS: Final = 10  # position resets since the last fused position
+I_BLOCK: Final = 11  # samples in the open block
+I_BLOCKS: Final = 12  # blocks closed since start or gap
+I_GNSS_USED: Final = 13  # since the last output row
+I_STATIONARY: Final = 14
+NT: Final = 15
+
+# Ring of closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3).
+N_BLOCKS: Final = 10
+
+# Aids and outcomes, the axes of the counters.
+AIDS: Final = ("imu", "gnss_position", "gnss_height", "gnss_velocity", "nhc", "zupt", "zaru", "speed", "magnetometer")
+OUTCOMES: Final = ("fused", "rejected_gate", "rejected_time", "rejected_range", "reset")
+A_IMU, A_POSITION, A_HEIGHT, A_VELOCITY, A_NHC, A_ZUPT, A_ZARU, A_SPEED, A_MAGNETOMETER = range(len(AIDS))
+FUSED, REJECTED_GATE, REJECTED_TIME, REJECTED_RANGE, RESET = range(len(OUTCOMES))

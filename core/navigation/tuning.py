@@ -1,0 +1,171 @@
+"""Noises, gates and schedules of the filter, once, with unit, range and source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+
+from core.measurements import FloatArray
+from core.tunables import Tunables, tunable
+
+_CHOICE: Final = "choice; checked on kth_stockholm, comma2k19_segment and boston_vn100"
+
+
+@dataclass(frozen=True, slots=True)
+class Tuning(Tunables):
+    """Tunables of navigation. Sd is one sigma; noise densities are per root second."""
+
+    gyro_noise_radps_rts: float = tunable(
+        1.0e-3,
+        unit="rad/s/sqrt(Hz)",
+        low=1e-7,
+        high=0.1,
+        source="L3GD20 0.03 deg/s/sqrt(Hz) = 5.2e-4, doubled for vibration",
+    )
+    accel_noise_mps2_rts: float = tunable(
+        2.0e-2,
+        unit="m/s2/sqrt(Hz)",
+        low=1e-6,
+        high=1.0,
+        source="LSM303DLHC 220 ug/sqrt(Hz) = 2.2e-3, raised for vibration: " + _CHOICE,
+    )
+    gyro_bias_walk_radps2_rts: float = tunable(2.0e-5, unit="rad/s/sqrt(s)", low=0, high=1e-2, source=_CHOICE)
+    accel_bias_walk_mps3_rts: float = tunable(2.0e-4, unit="m/s2/sqrt(s)", low=0, high=1e-1, source=_CHOICE)
+    gyro_bias_sd_radps: float = tunable(
+        1.0e-2, unit="rad/s", low=1e-7, high=1.0, source="turn-on bias of a consumer gyroscope about 0.5 deg/s"
+    )
+    accel_bias_sd_mps2: float = tunable(
+        0.15, unit="m/s2", low=1e-6, high=5.0, source="turn-on bias 15 mg after calibration"
+    )
+    speed_scale_sd: float = tunable(0.03, unit="1", low=1e-6, high=0.3, source="tyre wear and pressure 2-3 %")
+    speed_scale_walk_rts: float = tunable(1.0e-5, unit="1/sqrt(s)", low=0, high=1e-2, source=_CHOICE)
+    mount_angle_sd_rad: float = tunable(0.09, unit="rad", low=1e-5, high=0.5, source="box fitted by eye within 5 deg")
+    mount_angle_walk_rad_rts: float = tunable(1.0e-5, unit="rad/sqrt(s)", low=0, high=1e-2, source=_CHOICE)
+
+    gnss_sd_h_m: float = tunable(
+        3.0, unit="m", low=0.01, high=100, source="u-blox 7 single frequency, without stated accuracy"
+    )
+    gnss_uere_m: float = tunable(
+        2.0, unit="m", low=0.1, high=30, source="per axis and unit of HDOP; Groves 2013 table 9.4, single frequency"
+    )
+    gnss_height_factor: float = tunable(
+        1.5, unit="1", low=1, high=5, source="vertical against horizontal, geometry of the sky"
+    )
+    gnss_sd_v_mps: float = tunable(
+        0.15, unit="m/s", low=0.01, high=10, source="u-blox 7 data sheet 0.1 m/s, raised for city streets"
+    )
+    gnss_sd_floor_m: float = tunable(
+        0.3, unit="m", low=0.001, high=10, source="a receiver's stated accuracy below this is optimistic in a car"
+    )
+    gnss_sd_v_floor_mps: float = tunable(0.05, unit="m/s", low=0.001, high=10, source="as above, for velocity")
+    gnss_min_satellites: float = tunable(4, unit="1", low=0, high=20, source="a position needs four; seed 3")
+    gnss_max_age_s: float = tunable(
+        1.0, unit="s", low=0.01, high=10, source="a fix older than the newest sample by more cannot be compared"
+    )
+
+    gate_position: float = tunable(13.82, unit="1", low=4, high=1e4, source="chi-squared, 2 degrees of freedom, 99.9 %")
+    gate_scalar: float = tunable(10.83, unit="1", low=2, high=1e4, source="chi-squared, 1 degree of freedom, 99.9 %")
+    gate_velocity: float = tunable(13.82, unit="1", low=4, high=1e4, source="chi-squared, 2 degrees of freedom, 99.9 %")
+    recovery_s: float = tunable(
+        5.0, unit="s", low=1, high=60, source="recovery within 10 s of good fixes, with time to see that they agree"
+    )
+    recovery_fixes: float = tunable(4, unit="1", low=2, high=50, source=_CHOICE)
+    recovery_agreement_m: float = tunable(
+        5.0,
+        unit="m",
+        low=0.5,
+        high=100,
+        source="two refused fixes agree if their innovations differ by less, plus 3 sd",
+    )
+    recovery_attitude_sd_rad: float = tunable(0.1, unit="rad", low=0, high=1, source=_CHOICE)
+    resets_until_lost: float = tunable(
+        3, unit="1", low=1, high=100, source="resets with no fix accepted between: heading is wrong, align anew"
+    )
+
+    nhc_sd_mps: float = tunable(
+        0.25, unit="m/s", low=0.01, high=5, source="lateral slip and suspension of a car; " + _CHOICE
+    )
+    nhc_lever_m: float = tunable(
+        1.5, unit="m", low=0, high=10, source="box to rear axle when unknown: lateral speed is yaw rate times this"
+    )
+    nhc_min_speed_mps: float = tunable(1.0, unit="m/s", low=0, high=10, source=_CHOICE)
+    constraint_interval_s: float = tunable(0.2, unit="s", low=0.05, high=5, source="5 Hz, as the design measured")
+    speed_sd_mps: float = tunable(0.25, unit="m/s", low=0.01, high=5, source="quantised speedometer; " + _CHOICE)
+    speed_interval_s: float = tunable(0.18, unit="s", low=0, high=5, source="faster samples carry the same errors")
+
+    zupt_sd_mps: float = tunable(0.03, unit="m/s", low=1e-3, high=1, source="rocking of a standing car")
+    zaru_sd_radps: float = tunable(
+        2.0e-3, unit="rad/s", low=1e-6, high=0.1, source="rocking of a standing car over 0.1 s; " + _CHOICE
+    )
+    still_accel_sd_mps2: float = tunable(
+        0.08,
+        unit="m/s2",
+        low=1e-3,
+        high=2,
+        source="sd of ten 0.1 s means: standing 0.01-0.04, driving above 0.1 on the three drives",
+    )
+    still_gyro_sd_radps: float = tunable(
+        5.0e-3,
+        unit="rad/s",
+        low=1e-5,
+        high=0.2,
+        source="sd of ten 0.1 s means: standing 0.0006-0.003, driving above 0.007 on the three drives",
+    )
+    still_max_speed_mps: float = tunable(
+        1.0, unit="m/s", low=0.1, high=10, source="a smooth road at speed is no standstill"
+    )
+
+    covariance_interval_s: float = tunable(
+        0.1, unit="s", low=0.005, high=1, source="10 Hz costs at most 3 mm against 200 Hz (design)"
+    )
+    output_interval_s: float = tunable(0.1, unit="s", low=0, high=60, source="track rows at 10 Hz; 0 for every sample")
+    bridge_s: float = tunable(
+        0.05, unit="s", low=0.001, high=1, source="a longer step between samples is bridged and paid for in variance"
+    )
+    bridge_accel_sd_mps2: float = tunable(1.5, unit="m/s2", low=0, high=20, source="what a car does unseen")
+    bridge_tilt_sd_radps: float = tunable(
+        0.03, unit="rad/s", low=0, high=5, source="roll and pitch rate of a car between two samples that are far apart"
+    )
+    bridge_yaw_sd_radps: float = tunable(
+        0.1,
+        unit="rad/s",
+        low=0,
+        high=5,
+        source="a turn begun or ended unseen: lateral 2 m/s2 at 10 m/s, half of it interpolated",
+    )
+    max_gap_s: float = tunable(5.0, unit="s", low=0.1, high=600, source="after a longer gap the filter aligns anew")
+    saturated_accel_sd_mps2: float = tunable(
+        50.0, unit="m/s2", low=0, high=1000, source="half of a 10 g pulse is beyond 2 g; 49 CFR 563 pulses"
+    )
+    coasting_after_s: float = tunable(2.5, unit="s", low=0.1, high=60, source="two missed fixes at 1 Hz")
+
+    align_still_s: float = tunable(
+        2.0, unit="s", low=1, high=60, source="averages noise of the accelerometers below 1 mg"
+    )
+    align_moving_s: float = tunable(5.0, unit="s", low=2, high=60, source=_CHOICE)
+    align_min_speed_mps: float = tunable(
+        2.5, unit="m/s", low=0.5, high=20, source="GNSS course good to some 5 deg with 0.2 m/s"
+    )
+    align_max_yaw_sd_rad: float = tunable(
+        0.15, unit="rad", low=0.01, high=0.5, source="the error model is linear to some 10 deg"
+    )
+    align_magnetic_sd_rad: float = tunable(
+        0.35, unit="rad", low=0.02, high=1.5, source="20 deg: iron of the car and declination not corrected"
+    )
+    align_tilt_still_sd_rad: float = tunable(0.02, unit="rad", low=1e-4, high=0.5, source="bias of 20 mg")
+    align_tilt_moving_sd_rad: float = tunable(
+        0.05, unit="rad", low=1e-3, high=0.5, source="accelerations known to 0.5 m/s2"
+    )
+    align_gyro_bias_moving_sd_radps: float = tunable(
+        0.02, unit="rad/s", low=1e-5, high=1, source="course over five seconds good to 5 deg"
+    )
+
+    def as_array(self) -> FloatArray:
+        """All values in the order of the fields, for compiled code."""
+        return np.array([float(getattr(self, f.name)) for f in fields(self)])
+
+
+PARAMETER: Final = {f.name: i for i, f in enumerate(fields(Tuning))}
+"""Index of each tunable in ``Tuning.as_array()``."""

@@ -6,6 +6,7 @@ after a crash meet their own rows.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import Counter
 from typing import Any, Final
@@ -20,12 +21,14 @@ from core.session import Accident, Outputs
 from schemas.notifications import AccidentBody, EventType, TripBody
 from service.engine import checkpoints
 from service.engine.checkpoints import Checkpoint
-from service.ingest.journal import JournalEntry
+from service.ingest.journal_rows import JournalEntry
 from service.storage.statements import insert_into
 from service.storage.tables import accidents, track_points, trips, vehicles
 from service.storage.vehicles import VehicleRef
 from service.webhooks import outbox
 from service.webhooks.outbox import NewEvent
+
+logger = logging.getLogger(__name__)
 
 NAMESPACE: Final = UUID("6f1d3b0e-52c4-5d8e-9a57-0f6c1f7c2b11")
 """Ids of accidents, trips and events are UUIDv5 in this namespace; it must never change."""
@@ -66,7 +69,13 @@ class Effects:
         self._add_track(outputs.track)
         for trip in outputs.trips:
             self._trips[trip.start_t_ns] = (trip, packet.received_ns)
-        self.accidents.extend((accident, packet.received_ns) for accident in outputs.accidents)
+        for accident in outputs.accidents:
+            if all(math.isfinite(value) for value in _place(accident)):
+                self.accidents.append((accident, packet.received_ns))
+            else:
+                # A box that never had a fix: there is nowhere to send help, but an operator must see it.
+                self.counts["accident.no_position"] += 1
+                logger.error("vehicle %s: an impact at %d ns has no place", self.ref.vehicle_id, accident.impact.t_ns)
 
     def store(self, connection: Connection, stored_ns: int) -> list[NewEvent]:
         """Write everything in the caller's transaction; returns the events that were not there before."""
@@ -228,6 +237,17 @@ class Effects:
             received_ns=received_ns,
             body=body.model_dump(),
         )
+
+
+def _place(accident: Accident) -> tuple[float, ...]:
+    return (
+        accident.lat_rad,
+        accident.lon_rad,
+        accident.alt_m,
+        accident.sd_n_m,
+        accident.sd_e_m,
+        accident.cov_ne_m2,
+    )
 
 
 def _finite_or_none(value: float) -> float | None:

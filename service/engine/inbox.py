@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from service.engine.checkpoints import Lag
-from service.ingest.journal import JournalEntry
+from service.ingest.journal_rows import JournalEntry
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,20 +7,21 @@ import os
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
 from sqlalchemy import Engine as Database
 from sqlalchemy.exc import InterfaceError, OperationalError
 
 from service.engine import checkpoints
+from service.engine.checkpoints import Checkpoint
 from service.engine.effects import Effects
 from service.engine.inbox import Inbox, Work
 from service.engine.telling import cloud_event, fused_state
 from service.engine.vehicle import SessionFactory, Vehicle
-from service.ingest.journal import JournalEntry
+from service.ingest.journal_rows import JournalEntry, load_rows, read_after
 from service.observability import Metrics
 from service.storage.database import read, write
 from service.storage.vehicles import VehicleDirectory, VehicleRef
@@ -38,18 +39,6 @@ _LONGEST_RETRY_S: Final = 5.0
 _CHECKPOINTS_PER_COMMIT: Final = 64
 _IDLE_TURN_S: Final = 1.0
 _USED: Final = "fused"
-
-
-class PacketSource(Protocol):
-    """Where packets are read again; ``service.ingest.journal.Journal`` is the one."""
-
-    def read(self, vehicle_pk: int, after_id: int) -> Iterator[JournalEntry]:
-        """A vehicle's rows after one, in order."""
-        ...
-
-    def load(self, ids: Sequence[int]) -> Iterable[JournalEntry]:
-        """Rows by their ids."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +73,6 @@ class Context:
 
     database: Database
     directory: VehicleDirectory
-    journal: PacketSource
     metrics: Metrics
     config: EngineConfig
     session_factory: SessionFactory
@@ -172,9 +160,9 @@ class Shard(threading.Thread):
 
     def _fold(self, work: Work) -> Effects | None:
         pk = work.vehicle_pk
-        ref = self._retry(lambda: self._context.directory.by_pk(pk))
         if pk in self.quarantined:
             return None
+        ref = self._retry(lambda: self._context.directory.by_pk(pk))
         if ref is None:
             self._remove(pk)
             return None
@@ -194,8 +182,7 @@ class Shard(threading.Thread):
         vehicle = self._vehicles.get(ref.pk)
         now_ns = time.time_ns()
         if vehicle is None:
-            with read(self._context.database) as connection:
-                checkpoint = checkpoints.load(connection, ref.pk)
+            checkpoint = self._retry(lambda: self._checkpoint(ref.pk))
             gap_wait_ns = round(self._config.gap_wait_s * 1e9)
             vehicle = Vehicle(ref, checkpoint, self._context.session_factory, gap_wait_ns, now_ns)
             self._vehicles[ref.pk] = vehicle
@@ -205,16 +192,20 @@ class Shard(threading.Thread):
         self._vehicles.move_to_end(ref.pk)
         return vehicle
 
+    def _checkpoint(self, pk: int) -> Checkpoint | None:
+        with read(self._context.database) as connection:
+            return checkpoints.load(connection, pk)
+
     def _entries(self, work: Work, vehicle: Vehicle) -> Sequence[JournalEntry]:
         if work.lag is None:
             return work.entries
-        limit = self._config.packets_per_vehicle
-        rows = self._retry(lambda: list(islice(self._context.journal.read(work.vehicle_pk, vehicle.journal_id), limit)))
+        limit, database = self._config.packets_per_vehicle, self._context.database
+        rows = self._retry(lambda: list(islice(read_after(database, work.vehicle_pk, vehicle.journal_id), limit)))
         self.inbox.read_on(work, len(rows), at_end=len(rows) < limit)
         return rows
 
     def _load(self, ids: Sequence[int]) -> Iterable[JournalEntry]:
-        return self._retry(lambda: list(self._context.journal.load(ids)))
+        return self._retry(lambda: load_rows(self._context.database, ids))
 
     # --- 3: store ---------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ from schemas.packet import decode, measurements_from_packet
 from schemas.vehicles import VehicleConfig
 from service.engine.checkpoints import Checkpoint
 from service.engine.effects import Effects
-from service.ingest.journal import JournalEntry
+from service.ingest.journal_rows import JournalEntry
 from service.ingest.sequencing import Sequencer
 from service.storage.vehicles import VehicleRef
 

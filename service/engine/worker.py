@@ -11,9 +11,9 @@ from sqlalchemy import Engine as Database
 
 from service.engine import checkpoints
 from service.engine.sessions import open_session
-from service.engine.shard import Context, EngineConfig, PacketSource, Shard, Tell
+from service.engine.shard import Context, EngineConfig, Shard, Tell
 from service.engine.vehicle import SessionFactory
-from service.ingest.journal import JournalEntry
+from service.ingest.journal_rows import JournalEntry
 from service.observability import Metrics
 from service.storage.database import read
 from service.storage.vehicles import VehicleDirectory, VehicleRef
@@ -44,7 +44,6 @@ class Engine:
         self,
         database: Database,
         directory: VehicleDirectory,
-        journal: PacketSource,
         metrics: Metrics,
         *,
         config: EngineConfig | None = None,
@@ -54,7 +53,7 @@ class Engine:
     ) -> None:
         self._database = database
         self._config = config or EngineConfig()
-        context = Context(database, directory, journal, metrics, self._config, session_factory, on_event, on_state)
+        context = Context(database, directory, metrics, self._config, session_factory, on_event, on_state)
         self._shards = [Shard(number, context) for number in range(self._config.workers)]
         metrics.engine_backlog.set_function(lambda: self.backlog)
         metrics.vehicles_active.set_function(lambda: sum(shard.sessions for shard in self._shards))

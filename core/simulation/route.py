@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Final
 
 import numpy as np
 
@@ -14,9 +15,9 @@ from core.measurements import FloatArray
 from core.simulation.crashes import Crash
 from core.simulation.shapes import Shape, peak_rate, step
 
-TYRE_FRICTION = 0.7
+TYRE_FRICTION: Final = 0.7
 """Grip with which a car that was pushed sideways stops sliding; dry asphalt 0.7 to 0.8 (Gillespie 1992)."""
-YAW_KICK_S = 0.55
+YAW_KICK_S: Final = 0.55
 """Time over which a crash turns the car, s; a choice."""
 
 
@@ -117,9 +118,9 @@ class RouteBuilder:
         return self
 
     def to_speed(self, speed_mps: float, accel_mps2: float = 1.6, shape: Shape = Shape.EASE) -> RouteBuilder:
-        """Accelerate or brake to a speed; ``accel_mps2`` is the largest on the way."""
-        if not (speed_mps >= 0.0 and accel_mps2 > 0.0):
-            raise InvalidInputError(f"to {speed_mps} m/s at {accel_mps2} m/s2: expected >= 0 and > 0")
+        """Accelerate or brake to a speed (below 0: backwards); ``accel_mps2`` is the largest on the way."""
+        if not (math.isfinite(speed_mps) and accel_mps2 > 0.0):
+            raise InvalidInputError(f"to {speed_mps} m/s at {accel_mps2} m/s2: expected an acceleration above 0")
         delta = speed_mps - self.speed_mps
         duration_s = peak_rate(shape) * abs(delta) / accel_mps2
         self._change("forward_by_tyres", self.t_s, duration_s, delta, shape)
@@ -129,10 +130,10 @@ class RouteBuilder:
 
     def turn(self, angle_deg: float, radius_m: float) -> RouteBuilder:
         """Turn clockwise by an angle at the speed held, with ``radius_m`` where the curve is tightest."""
-        if not (self.speed_mps > 0.0 and radius_m > 0.0):
-            raise InvalidInputError(f"a turn of radius {radius_m} m at {self.speed_mps} m/s: expected both above 0")
+        if not (self.speed_mps != 0.0 and radius_m > 0.0):
+            raise InvalidInputError(f"a turn of radius {radius_m} m at {self.speed_mps} m/s: expected a moving car")
         angle = math.radians(angle_deg)
-        duration_s = peak_rate(Shape.EASE) * abs(angle) * radius_m / self.speed_mps
+        duration_s = peak_rate(Shape.EASE) * abs(angle * radius_m / self.speed_mps)
         self._change("heading_rad", self.t_s, duration_s, angle, Shape.EASE)
         self.t_s += duration_s
         return self

@@ -22,6 +22,12 @@ from core.tunables import Tunables, tunable
 _MAX_STEP_S = 0.0025
 """Longest step of the integration, s: 1/80 of the shortest period of the suspension."""
 
+_BUMP_WINDOW_S = 60.0
+"""A car that stands on a bump for longer is taken to have left it, s."""
+
+_BLOCK = 20_000
+"""Samples worked on at a time, so that a drive of hours needs little memory."""
+
 _LAT, _LON, _ALT, _HEAVE, _HEAVE_RATE, _ROLL, _ROLL_RATE, _PITCH, _PITCH_RATE = range(9)
 
 
@@ -94,19 +100,29 @@ def drive(route: Route, place: Place, rate_hz: float, suspension: Suspension | N
     per_sample = math.ceil(1.0 / (rate_hz * _MAX_STEP_S))
     samples = math.floor(route.duration_s * rate_hz) + 1
     step_s = 1.0 / (rate_hz * per_sample)
-    half_steps: FloatArray = np.arange(2 * per_sample * (samples - 1) + 1) * (step_s / 2)  # RK4 looks at the middle of steps
-    motion = _Motion.of(route, half_steps, springs)
-    states, heave_accel = _integrate(
-        np.array([place.lat_rad, place.lon_rad, place.alt_m]),
-        motion.v_road_n,
-        motion.heave_drive,
-        motion.tilt_drive,
-        step_s,
-        per_sample,
-        np.array([springs.heave_hz, springs.tilt_hz]) * 2 * np.pi,
-        springs.damping_ratio,
-    )
-    return _truth(half_steps[:: 2 * per_sample], motion.every(2 * per_sample), states, heave_accel)
+    parts: list[Trajectory] = []
+    state = np.zeros(9)
+    state[:3] = place.lat_rad, place.lon_rad, place.alt_m
+    for first in range(0, samples, _BLOCK):
+        count = min(_BLOCK, samples - first)
+        # RK4 looks at the ends and the middle of each step; the last step leads to the next block.
+        half_steps = np.arange(2 * per_sample * first, 2 * per_sample * (first + count) + 1) * np.float64(step_s / 2)
+        motion = _Motion.of(route, half_steps, springs)
+        states, heave_accel = _integrate(
+            state,
+            motion.v_road_n,
+            motion.heave_drive,
+            motion.tilt_drive,
+            step_s,
+            per_sample,
+            np.array([springs.heave_hz, springs.tilt_hz]) * 2 * np.pi,
+            springs.damping_ratio,
+        )
+        state = states[-1]
+        t_s = (first + np.arange(count)) / rate_hz
+        parts.append(_truth(t_s, motion.at_samples(2 * per_sample), states[:-1], heave_accel))
+    names = Trajectory.__slots__
+    return Trajectory(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,22 +179,25 @@ class _Motion:
             tilt_drive=np.column_stack([roll_wanted, pitch_wanted]),
         )
 
-    def every(self, stride: int) -> _Motion:
-        """The same at every ``stride``-th time."""
-        return _Motion(*(getattr(self, name)[::stride] for name in self.__slots__))
+    def at_samples(self, stride: int) -> _Motion:
+        """The same at every ``stride``-th time but the last, which belongs to the next block."""
+        return _Motion(*(getattr(self, name)[:-1:stride] for name in self.__slots__))
 
 
 def _road_height(route: Route, t_s: FloatArray, u: FloatArray, behind_m: float) -> tuple[FloatArray, FloatArray]:
     """Height of the road under an axle and its rate as the car goes over it, (n,) each."""
     height, rate = np.zeros_like(u), np.zeros_like(u)
-    if route.bumps:
-        distance = np.concatenate([[0.0], np.cumsum((u[1:] + u[:-1]) / 2 * np.diff(t_s))])
-        for bump in route.bumps:
-            along = distance - np.interp(bump.start_s, t_s, distance) - behind_m
-            inside = (along > 0.0) & (along < bump.length_m)
-            phase = 2 * np.pi * along[inside] / bump.length_m
-            height[inside] += bump.height_m / 2 * (1.0 - np.cos(phase))
-            rate[inside] += bump.height_m * np.pi / bump.length_m * np.sin(phase) * u[inside]
+    for bump in route.bumps:
+        if bump.start_s > t_s[-1] or bump.start_s + _BUMP_WINDOW_S < t_s[0]:
+            continue
+        near_s = bump.start_s + np.arange(0.0, _BUMP_WINDOW_S, 0.001)
+        speed = route.forward_by_tyres.at(near_s)[0] + route.forward_by_impacts.at(near_s)[0]
+        distance = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * 0.001)])
+        along = np.interp(t_s, near_s, distance, left=0.0) - behind_m
+        inside = (along > 0.0) & (along < bump.length_m)
+        phase = 2 * np.pi * along[inside] / bump.length_m
+        height[inside] += bump.height_m / 2 * (1.0 - np.cos(phase))
+        rate[inside] += bump.height_m * np.pi / bump.length_m * np.sin(phase) * u[inside]
     return height, rate
 
 
@@ -211,18 +230,15 @@ def _integrate(
     omega: FloatArray,
     zeta: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Runge-Kutta 4 over the half steps; (samples, 9) states and the heave's acceleration at each."""
-    samples = (v_road.shape[0] - 1) // (2 * per_sample) + 1
-    states = np.empty((samples, 9))
+    """Runge-Kutta 4 over the half steps: (samples + 1, 9) states, heave acceleration at all but the last."""
+    samples = (v_road.shape[0] - 1) // (2 * per_sample)
+    states = np.empty((samples + 1, 9))
     heave_accel = np.empty(samples)
-    y = np.zeros(9)
-    y[:3] = start
+    y = start.copy()
+    i = 0
     for sample in range(samples):
-        i = 2 * per_sample * sample
         states[sample] = y
         heave_accel[sample] = _rates(y, v_road[i], heave[i], tilt[i], omega, zeta)[_HEAVE_RATE]
-        if sample == samples - 1:
-            break
         for _ in range(per_sample):
             k1 = _rates(y, v_road[i], heave[i], tilt[i], omega, zeta)
             k2 = _rates(y + step_s / 2 * k1, v_road[i + 1], heave[i + 1], tilt[i + 1], omega, zeta)
@@ -230,11 +246,23 @@ def _integrate(
             k4 = _rates(y + step_s * k3, v_road[i + 2], heave[i + 2], tilt[i + 2], omega, zeta)
             y = y + step_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
             i += 2
+    states[samples] = y
     return states, heave_accel
 
 
+@njit(cache=True, nogil=True)
+def _earth_at(lat_rad: FloatArray, alt_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Meridian and transverse radius and gravity at each point, (n,) each."""
+    n = lat_rad.size
+    meridian, transverse, gravity = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        meridian[i], transverse[i] = radii_m(lat_rad[i])
+        gravity[i] = gravity_mps2(lat_rad[i], alt_m[i])
+    return meridian, transverse, gravity
+
+
 def _truth(t_s: FloatArray, motion: _Motion, states: FloatArray, heave_accel: FloatArray) -> Trajectory:
-    lat, lon, alt = states[:, _LAT], states[:, _LON], states[:, _ALT]
+    lat, lon, alt = states[:, _LAT].copy(), states[:, _LON].copy(), states[:, _ALT].copy()
     v_n = motion.v_road_n.copy()
     v_n[:, 2] -= states[:, _HEAVE_RATE]
     v_n_dot = motion.v_road_n_dot.copy()
@@ -243,12 +271,12 @@ def _truth(t_s: FloatArray, motion: _Motion, states: FloatArray, heave_accel: Fl
     roll_rate, pitch_rate = states[:, _ROLL_RATE], states[:, _PITCH_RATE] + motion.grade_rate
     C_b_from_n = _matrices_b_from_n(roll, pitch, yaw)
 
-    meridian, transverse = np.array([radii_m(x) for x in lat]).T
+    meridian, transverse, gravity = _earth_at(lat, alt)
     omega_ie_n = EARTH_RATE_RADPS * np.column_stack([np.cos(lat), np.zeros_like(lat), -np.sin(lat)])
     east_rate = v_n[:, 1] / (transverse + alt)
     omega_en_n = np.column_stack([east_rate, -v_n[:, 0] / (meridian + alt), -east_rate * np.tan(lat)])
     gravity_n = np.zeros_like(v_n)
-    gravity_n[:, 2] = [gravity_mps2(x, h) for x, h in zip(lat, alt, strict=True)]
+    gravity_n[:, 2] = gravity
     f_n = v_n_dot + np.cross(2 * omega_ie_n + omega_en_n, v_n) - gravity_n
     omega_nb_b = np.column_stack(
         [

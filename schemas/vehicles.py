@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from schemas.times import Time
 
 VEHICLE_ID_PATTERN: Final = r"^[A-Za-z0-9][A-Za-z0-9._:+-]{0,127}$"
 """``schemas.keys.is_name`` as a pattern, for the OpenAPI document; a test holds the two together."""
@@ -82,23 +83,28 @@ class Vehicle(Model):
     vehicle_id: VehicleId
     zenoh_prefix: str = Field(description="Where the box puts its packets: this and /telemetry.")
     config: VehicleConfig
-    registered_at: datetime
-    updated_at: datetime
-    last_seen_at: datetime | None = Field(description="When a packet last came in.")
+    registered_at: Time
+    updated_at: Time
+
+
+class ListedVehicle(Vehicle):
+    """A vehicle in a list, with when it was last heard of."""
+
+    last_seen_at: Time | None
 
 
 class VehicleList(Model):
     """A page of vehicles, by id."""
 
-    vehicles: list[Vehicle]
+    vehicles: list[ListedVehicle]
     next_cursor: str | None = Field(description="Give it as cursor for the page after this one; null at the end.")
 
 
 class FusedState(Model):
     """Where the vehicle was last known to be, how it moved, and how sure that is."""
 
-    time: datetime
-    mode: Literal["aligning", "aided", "coasting"]
+    time: Time
+    mode: Literal["aligning", "aided", "coasting"] = Field(description="coasting: without GNSS.")
     lat_deg: float
     lon_deg: float
     alt_ellipsoid_m: float
@@ -109,10 +115,10 @@ class FusedState(Model):
     roll_deg: float | None
     pitch_deg: float | None
     yaw_deg: float | None
-    sd_n_m: float
+    sd_n_m: float = Field(description="Standard deviation of the position to the north; likewise east and down.")
     sd_e_m: float
     sd_d_m: float
-    cov_ne_m2: float
+    cov_ne_m2: float = Field(description="Covariance of the position's north and east errors.")
     sd_yaw_deg: float | None
 
 
@@ -121,17 +127,19 @@ class LastPacket(Model):
 
     boot_id: str
     sequence: int
-    start_time: datetime
-    received_at: datetime
+    start_time: Time
+    received_at: Time
 
 
 class VehicleState(Model):
     """What the service knows of a vehicle right now."""
 
     vehicle_id: VehicleId
-    last_seen_at: datetime | None
+    last_seen_at: Time | None
     last_packet: LastPacket | None
     durable_sequence: int | None = Field(
-        description="In the last packet's boot: everything up to here is durable or refused for good."
+        description="In the last packet's boot: every packet up to here is durable or refused for good."
     )
-    fused: FusedState | None = Field(description="Null before the first fused position.")
+    fused: FusedState | None = Field(
+        description="Null before the first fused position, and for keys without positions:read."
+    )

@@ -6,7 +6,7 @@ import base64
 import binascii
 import json
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 from urllib.parse import urlencode
 
 from fastapi import Depends, Query, Request
@@ -32,7 +32,7 @@ class PageRequest:
     limit: int
     cursor: str | None
 
-    def after(self, *kinds: type) -> tuple[object, ...] | None:
+    def after(self, *kinds: type) -> tuple[Any, ...] | None:
         """The position that the cursor stands for, values of these types; None for the first page."""
         if self.cursor is None:
             return None

@@ -12,10 +12,11 @@ from sqlalchemy import Connection, Engine, Row, delete, func, select
 
 from schemas import keys
 from schemas.vehicles import VehicleConfig
+from service.ingest.sequencing import Sequencer
 from service.storage import tenants
 from service.storage.database import read, write
 from service.storage.statements import insert_into
-from service.storage.tables import journal, vehicles
+from service.storage.tables import checkpoints, journal, vehicles
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +93,20 @@ def newest_packet(connection: Connection, vehicle_pk: int) -> PacketRow | None:
         .limit(1)
     ).one_or_none()
     return None if row is None else PacketRow(*row)
+
+
+def durable_sequence(connection: Connection, vehicle_pk: int, boot_id: str) -> int:
+    """Up to where a boot's packets are durable or refused for good, as its box is told; 0 for nothing."""
+    saved = connection.execute(
+        select(checkpoints.c.journal_id, checkpoints.c.sequencer).where(checkpoints.c.vehicle_pk == vehicle_pk)
+    ).one_or_none()
+    sequencer = Sequencer() if saved is None else Sequencer.from_json(saved.sequencer)
+    since = select(journal.c.boot_id, journal.c.sequence, journal.c.start_t_ns, journal.c.id).where(
+        journal.c.vehicle_pk == vehicle_pk, journal.c.id > (0 if saved is None else saved.journal_id)
+    )
+    for row in connection.execute(since.order_by(journal.c.id)):
+        sequencer.offer(*row)
+    return sequencer.durable_sequence(boot_id)
 
 
 def _vehicle(row: Row[Any]) -> VehicleRow:

@@ -1,0 +1,123 @@
+"""Trips of a vehicle, and the track of a trip."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Request, Response
+from sqlalchemy import Connection
+
+from schemas import geojson
+from schemas.geojson import GEOJSON_MEDIA_TYPE
+from schemas.notifications import rfc3339
+from schemas.trips import Place, TrackCollection, Trip, TripList
+from service.api.conditional import answer
+from service.api.dependencies import Database, VehiclePath, the_vehicle
+from service.api.pagination import Page, encode_cursor, link_next
+from service.api.security import Principal, require
+from service.api.times import FromTime, ToTime, time_ns
+from service.api.vehicles import MODES
+from service.errors import NotFoundError
+from service.storage import trips
+from service.storage.database import read
+from service.storage.trips import TrackRow, TripRow
+
+router = APIRouter(tags=["trips"])
+
+Reader = Annotated[Principal, Depends(require("vehicles:read"))]
+PositionReader = Annotated[Principal, Depends(require("positions:read"))]
+TripPath = Annotated[str, Path(max_length=36, description="The trip's id.")]
+
+
+@router.get("/vehicles/{vehicle_id}/trips", response_model=TripList)
+def list_trips(
+    request: Request,
+    vehicle_id: VehiclePath,
+    caller: Reader,
+    engine: Database,
+    page: Page,
+    from_: FromTime = None,
+    to: ToTime = None,
+) -> Response:
+    """A vehicle's trips that touch the time asked for, newest first."""
+    after = page.after(int, str)
+    from_ns, to_ns = time_ns("from", from_), time_ns("to", to)
+    with read(engine) as connection:
+        vehicle = the_vehicle(connection, caller.tenant_id, vehicle_id)
+        rows = trips.page(
+            connection,
+            caller.tenant_id,
+            vehicle.ref.pk,
+            from_ns=from_ns,
+            to_ns=to_ns,
+            after=after,
+            limit=page.limit + 1,
+        )
+    shown = rows[: page.limit]
+    next_cursor = encode_cursor(shown[-1].start_ns, shown[-1].id) if len(rows) > page.limit else None
+    body = TripList(trips=[_trip(row, caller) for row in shown], next_cursor=next_cursor)
+    return answer(request, body, headers=link_next(request, next_cursor))
+
+
+@router.get("/trips/{trip_id}", response_model=Trip)
+def get_trip(request: Request, trip_id: TripPath, caller: Reader, engine: Database) -> Response:
+    """A trip's figures; where it began and ended only for keys with positions:read."""
+    with read(engine) as connection:
+        row = _the_trip(connection, caller.tenant_id, trip_id)
+    return answer(request, _trip(row, caller))
+
+
+@router.get(
+    "/trips/{trip_id}/track",
+    responses={200: {"model": TrackCollection, "content": {GEOJSON_MEDIA_TYPE: {}}}},
+    response_class=Response,
+)
+def get_track(request: Request, trip_id: TripPath, caller: PositionReader, engine: Database) -> Response:
+    """Where a trip went, as GeoJSON, with the time of each position and how sure it is."""
+    with read(engine) as connection:
+        trip = _the_trip(connection, caller.tenant_id, trip_id)
+        rows = trips.track(connection, trip)
+    geometry = geojson.path([(row.lon_deg, row.lat_deg, row.alt_m) for row in rows])
+    feature = geojson.feature(trip.id, geometry, _track_properties(trip, rows))
+    return answer(request, {"type": "FeatureCollection", "features": [feature]}, media_type=GEOJSON_MEDIA_TYPE)
+
+
+def _the_trip(connection: Connection, tenant_id: str, trip_id: str) -> TripRow:
+    row = trips.find(connection, tenant_id, trip_id)
+    if row is None:
+        raise NotFoundError(f"there is no trip '{trip_id}'; GET /v1/vehicles/ID/trips lists a vehicle's")
+    return row
+
+
+def _trip(row: TripRow, caller: Principal) -> Trip:
+    places = caller.may("positions:read")
+    return Trip(
+        id=row.id,
+        vehicle_id=row.vehicle_id,
+        start_at=row.start_ns,
+        end_at=row.end_ns,
+        ended=row.ended,
+        start=Place(lat_deg=row.start_lat_deg, lon_deg=row.start_lon_deg) if places else None,
+        end=Place(lat_deg=row.end_lat_deg, lon_deg=row.end_lon_deg) if places else None,
+        distance_m=row.distance_m,
+        moving_s=row.moving_s,
+        coasting_s=row.coasting_s,
+        max_speed_mps=row.max_speed_mps,
+    )
+
+
+def _track_properties(trip: TripRow, rows: list[TrackRow]) -> dict[str, Any]:
+    # No model for each row: a day's track has tens of thousands; TrackProperties documents them.
+    return {
+        "trip_id": trip.id,
+        "vehicle_id": trip.vehicle_id,
+        "times": [rfc3339(row.t_ns) for row in rows],
+        "speed_mps": [round(math.hypot(row.vn_mps, row.ve_mps), 3) for row in rows],
+        "yaw_deg": [None if row.yaw_deg is None else round(row.yaw_deg, 2) for row in rows],
+        "sd_n_m": [round(row.sd_n_m, 3) for row in rows],
+        "sd_e_m": [round(row.sd_e_m, 3) for row in rows],
+        "sd_d_m": [round(row.sd_d_m, 3) for row in rows],
+        "cov_ne_m2": [float(f"{row.cov_ne_m2:.4g}") for row in rows],
+        "mode": [MODES[row.mode] for row in rows],
+    }

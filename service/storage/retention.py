@@ -1,0 +1,109 @@
+"""What is kept for how long, and what is removed: in small transactions, so that packets never wait long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+from sqlalchemy import Column, ColumnElement, Connection, Engine, and_, delete, exists, func, not_, select
+
+from service.ingest.sequencing import Sequencer
+from service.storage import idempotency
+from service.storage.database import read, write
+from service.storage.tables import checkpoints, deliveries, events, idempotency_keys, journal, track_points
+
+CHUNK: Final = 2_000
+"""Rows a transaction: some 20 ms of the disk's time, in which no packet becomes durable."""
+
+DAY_NS: Final = 24 * 3600 * 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Removed:
+    """How many rows went."""
+
+    packets: int
+    track_points: int
+    events: int
+    idempotency_keys: int
+
+
+def prune(engine: Engine, now_ns: int, *, journal_days: int, track_days: int, events_days: int) -> Removed:
+    """Remove what is older than so many days; 0 keeps for ever.
+
+    A packet stays while its vehicle's checkpoint does not stand beyond it or holds it back behind a gap; an
+    event stays while one of its webhooks is still to be sent. Accidents and trips stay.
+    """
+    with read(engine) as connection:
+        pks = list(connection.scalars(select(checkpoints.c.vehicle_pk)))
+    packets = points = 0
+    for pk in pks:
+        if journal_days:
+            before_ns = now_ns - journal_days * DAY_NS
+            packets += _in_chunks(engine, partial(_prune_journal, vehicle_pk=pk, before_ns=before_ns))
+        if track_days:
+            before_ns = now_ns - track_days * DAY_NS
+            points += _in_chunks(engine, partial(_prune_track, vehicle_pk=pk, before_ns=before_ns))
+    gone = 0
+    if events_days:
+        gone = _in_chunks(engine, partial(_prune_events, before_ns=now_ns - events_days * DAY_NS))
+    with write(engine) as connection:
+        answers = connection.execute(
+            delete(idempotency_keys).where(idempotency_keys.c.created_ns < now_ns - idempotency.KEPT_NS)
+        ).rowcount
+    return Removed(packets, points, gone, answers)
+
+
+def erase_history(engine: Engine, vehicle_pk: int) -> None:
+    """Remove the bulk of what is stored about a vehicle, before its own row takes the rest along."""
+    _in_chunks(engine, partial(_prune_journal, vehicle_pk=vehicle_pk, before_ns=None))
+    _in_chunks(engine, partial(_prune_track, vehicle_pk=vehicle_pk, before_ns=None))
+
+
+def _in_chunks(engine: Engine, remove: Callable[[Connection], int]) -> int:
+    removed = 0
+    while True:
+        with write(engine) as connection:
+            count = remove(connection)
+        removed += count
+        if count < CHUNK:
+            return removed
+
+
+def _prune_journal(connection: Connection, vehicle_pk: int, before_ns: int | None) -> int:
+    wanted = journal.c.vehicle_pk == vehicle_pk
+    if before_ns is not None:
+        row = connection.execute(
+            select(checkpoints.c.journal_id, checkpoints.c.sequencer).where(checkpoints.c.vehicle_pk == vehicle_pk)
+        ).one_or_none()
+        if row is None:
+            return 0
+        # The last one stays too, so that the vehicle still shows when its box last spoke.
+        keep_from = min([row.journal_id, *Sequencer.from_json(row.sequencer).pending_ids()])
+        wanted = and_(wanted, journal.c.received_ns < before_ns, journal.c.id < keep_from)
+    return _delete_first(connection, journal.c.id, wanted)
+
+
+def _prune_events(connection: Connection, before_ns: int) -> int:
+    unsent = exists().where(deliveries.c.event_id == events.c.id, deliveries.c.status == "pending")
+    return _delete_first(connection, events.c.cursor, and_(events.c.stored_ns < before_ns, not_(unsent)))
+
+
+def _delete_first(connection: Connection, key: Column[int], wanted: ColumnElement[bool]) -> int:
+    chosen = select(key).where(wanted).order_by(key).limit(CHUNK)
+    return connection.execute(delete(key.table).where(key.in_(chosen))).rowcount
+
+
+def _prune_track(connection: Connection, vehicle_pk: int, before_ns: int | None) -> int:
+    mine = track_points.c.vehicle_pk == vehicle_pk
+    wanted = mine
+    if before_ns is not None:
+        newest = select(func.max(track_points.c.t_ns)).where(mine).scalar_subquery()
+        wanted = and_(mine, track_points.c.t_ns < before_ns, track_points.c.t_ns < newest)
+    first = select(track_points.c.t_ns).where(wanted).order_by(track_points.c.t_ns).limit(CHUNK)
+    times = list(connection.scalars(first))
+    if not times:
+        return 0
+    return connection.execute(delete(track_points).where(mine, track_points.c.t_ns <= times[-1])).rowcount

@@ -27,7 +27,7 @@ class Pulse(NamedTuple):
     levelled: bool
 
 
-class Haversine(NamedTuple):
+class Whole(NamedTuple):
     """A whole pulse estimated from its unclipped flanks: change of velocity with sd, m/s, and length, s."""
 
     delta_v_mps: float
@@ -41,8 +41,8 @@ bumper contacts at low speed 90-150 ms (SAE 2000-01-0178 and the like). A prior,
 PULSE_LOG_SD: Final = 0.35
 """Spread of the logarithm of that length: two thirds of pulses between 78 and 156 ms. A choice."""
 MISFIT: Final = 0.3
-"""How far a real pulse's flank strays from a haversine, of the level it clips at: structures ring. A choice, after
-NHTSA test 10146, whose flank at 2, 4 and 16 g leads and lags its haversine by so much."""
+"""How far a real pulse's flank strays from these shapes, of the level it clips at: structures ring. A choice, after
+NHTSA test 10146, whose flank at 2, 4 and 16 g leads and lags them by so much."""
 DELTA_V_MEDIAN_MPS: Final = 5.6
 DELTA_V_LOG_SD: Final = 0.9
 """Changes of velocity that collisions bring, m/s, as a log-normal prior: two thirds between 2.3 and 14 m/s. A choice:
@@ -126,29 +126,45 @@ def measure(
 
 
 @njit(cache=True, nogil=True)
-def fit_haversine(
+def _along(x: FloatArray, row: int, ux: float, uy: float) -> float:
+    """Acceleration along a horizontal direction of the level frame, m/s2."""
+    return float(x[row, A_X] * ux + x[row, A_Y] * uy)
+
+
+@njit(cache=True, nogil=True)
+def fit_clipped(
     t_ns: TimeArray, x: FloatArray, flags: Flags, first: int, last: int, ux: float, uy: float
 ) -> tuple[float, float, float]:
     """Mean and sd of the change of velocity (m/s) and mean length (s) of a clipped pulse along (ux, uy).
 
-    Posterior over a grid of haversines a(t) = A sin2(pi (t - t0) / T): unclipped samples are compared with
-    it, clipped ones only say that it was at least so much. A is uniform in its logarithm, T and the change of
+    Posterior over a grid of half-sines and haversines, a(t) = A sin(pi (t - t0) / T) to the power 1 or 2, the two
+    shapes between which crash pulses lie: unclipped samples are compared with it, clipped ones only say
+    that it was at least so much. A is uniform in its logarithm, T and the change of
     velocity A T / 2 have the priors above.
     """
-    level = 0.0
-    clip_first, clip_last = -1, first
+    level, run = 0.0, first
+    clip_first, clip_last = first, first  # the longest run of clipped samples that push the pulse's own way
     for k in range(first, last + 1):
-        if flags[k] & CLIPPED:
-            level = max(level, x[k, A_X] * ux + x[k, A_Y] * uy)
-            clip_last = k
-            if clip_first < 0:
-                clip_first = k
+        if not flags[k] & CLIPPED or _along(x, k, ux, uy) <= 0.0:
+            run = k + 1
+            continue
+        level = max(level, _along(x, k, ux, uy))
+        if t_ns[k] - t_ns[run] >= t_ns[clip_last] - t_ns[clip_first]:
+            clip_first, clip_last = run, k
     clipped_s = (t_ns[clip_last] - t_ns[clip_first]) * 1e-9
-    n = last - first + 1
-    time, value = np.empty(n), np.empty(n)
+    begin, end = clip_first, clip_last  # the flanks, as long as they fall away from what clipped
+    while begin > first and _along(x, begin - 1, ux, uy) < _along(x, begin, ux, uy):
+        begin -= 1
+    while end < last and _along(x, end + 1, ux, uy) < _along(x, end, ux, uy):
+        end += 1
+    n = end - begin + 1
+    time, value, shape = np.empty(n), np.empty(n), np.empty(n)
+    hidden_s = 0.0
     for k in range(n):
-        time[k] = (t_ns[first + k] - t_ns[clip_first]) * 1e-9
-        value[k] = x[first + k, A_X] * ux + x[first + k, A_Y] * uy
+        time[k] = (t_ns[begin + k] - t_ns[clip_first]) * 1e-9
+        value[k] = _along(x, begin + k, ux, uy)
+        if k > 0 and flags[begin + k] & CLIPPED:
+            hidden_s += time[k] - time[k - 1]
     room = max(-time[0], 1e-3) + 0.5 * (time[1] - time[0])
 
     best = math.inf
@@ -161,26 +177,30 @@ def fit_haversine(
             prior = (math.log(length / PULSE_MEDIAN_S) / PULSE_LOG_SD) ** 2
             for j in range(STARTS):
                 start = -room * (j + 0.5) / STARTS
-                for m in range(AMPLITUDES):
-                    amplitude = level * 20.0 ** (m / (AMPLITUDES - 1))
-                    delta_v = 0.5 * amplitude * length
-                    cost = prior + (math.log(delta_v / DELTA_V_MEDIAN_MPS) / DELTA_V_LOG_SD) ** 2
+                for power in range(1, 3):
                     for k in range(n):
                         phase = (time[k] - start) / length
-                        shape = amplitude * math.sin(math.pi * phase) ** 2 if 0.0 < phase < 1.0 else 0.0
-                        off = value[k] - shape
-                        if off > 0.0 or not flags[first + k] & CLIPPED:
-                            cost += (off / (MISFIT * level)) ** 2
-                    if stage == 0:
-                        best = min(best, cost)
-                    else:
-                        weight = math.exp(-0.5 * (cost - best))
-                        total += weight
-                        sum_v += weight * delta_v
-                        sum_vv += weight * delta_v * delta_v
-                        sum_t += weight * length
+                        shape[k] = math.sin(math.pi * phase) ** power if 0.0 < phase < 1.0 else 0.0
+                    area = 2.0 / math.pi if power == 1 else 0.5
+                    for m in range(AMPLITUDES):
+                        amplitude = level * 20.0 ** (m / (AMPLITUDES - 1))
+                        delta_v = area * amplitude * length
+                        cost = prior + (math.log(delta_v / DELTA_V_MEDIAN_MPS) / DELTA_V_LOG_SD) ** 2
+                        for k in range(n):
+                            off = value[k] - amplitude * shape[k]
+                            if off > 0.0 or not flags[begin + k] & CLIPPED:
+                                cost += (off / (MISFIT * level)) ** 2
+                        if stage == 0:
+                            best = min(best, cost)
+                        else:
+                            weight = math.exp(-0.5 * (cost - best))
+                            total += weight
+                            sum_v += weight * delta_v
+                            sum_vv += weight * delta_v * delta_v
+                            sum_t += weight * length
     mean = sum_v / total
-    return mean, math.sqrt(max(sum_vv / total - mean * mean, 0.0)), sum_t / total
+    misfit = MISFIT * level * hidden_s  # the flanks' misfit again, over what no flank shows
+    return mean, math.sqrt(max(sum_vv / total - mean * mean, 0.0) + misfit * misfit), sum_t / total
 
 
 def read_pulse(
@@ -212,10 +232,10 @@ def read_pulse(
     )
 
 
-def unclip(t_ns: TimeArray, x: FloatArray, flags: Flags, pulse: Pulse) -> Haversine:
+def unclip(t_ns: TimeArray, x: FloatArray, flags: Flags, pulse: Pulse) -> Whole:
     """The whole pulse of a clipped one, along the direction it was read with."""
     cos, sin = float(x[pulse.first, HEADING_COS]), float(x[pulse.first, HEADING_SIN])
     norm = math.hypot(pulse.forward_mps, pulse.right_mps)
     forward, right = pulse.forward_mps / norm, pulse.right_mps / norm
     ux, uy = forward * cos - right * sin, forward * sin + right * cos
-    return Haversine(*fit_haversine(t_ns, x, flags, pulse.first, pulse.last, ux, uy))
+    return Whole(*fit_clipped(t_ns, x, flags, pulse.first, pulse.last, ux, uy))

@@ -18,6 +18,9 @@ from schemas.telemetry_pb2 import FixType, GnssFix, Imu, Magnetometer, Telemetry
 _COUNT: Final = np.dtype("<i2")
 _FLOAT: Final = np.dtype("<f4")
 _OFFSET: Final = np.dtype("<i8")
+MAX_COUNT: Final = 2**15 - 1
+"""The end of an int16 block's range, where it clips."""
+
 _IMU_AXES: Final = 6
 _MAGNETIC_AXES: Final = 3
 _INT64: Final = range(-(2**63), 2**63)
@@ -79,8 +82,11 @@ def measurements_from_packet(packet: TelemetryPacket) -> Measurements:
     start_t_ns = packet.start_time_ns
     imu = packet.imu
     rows = _rows("imu", imu, _IMU_AXES)
+    full_scale_mps2 = imu.accel_full_scale_mps2 if imu.HasField("accel_full_scale_mps2") else math.nan
     if rows.dtype == _COUNT:
         f_s, omega_s = rows[:, :3] * imu.accel_scale_mps2, rows[:, 3:] * imu.gyro_scale_radps
+        if len(rows) and math.isnan(full_scale_mps2):
+            full_scale_mps2 = MAX_COUNT * imu.accel_scale_mps2
     else:
         f_s, omega_s = rows[:, :3].astype(np.float64), rows[:, 3:].astype(np.float64)
 
@@ -99,6 +105,7 @@ def measurements_from_packet(packet: TelemetryPacket) -> Measurements:
         speed_t_ns=_times("wheel_speed", start_t_ns, packet.wheel_speed),
         speed_mps=np.array([speed.speed_mmps for speed in packet.wheel_speed], dtype=np.float64) * _M_PER_MM,
         temperature_c=packet.temperature_c if packet.HasField("temperature_c") else math.nan,
+        accel_full_scale_mps2=full_scale_mps2,
         ignition=packet.ignition if packet.HasField("ignition") else None,
         flags=packet.flags,
     )
@@ -129,6 +136,8 @@ def encode_packet(
         if len(m.imu_t_ns):
             _finite("imu", m.f_s, m.omega_s)
             packet.imu.period_ns = period_ns
+            if not math.isnan(m.accel_full_scale_mps2):
+                packet.imu.accel_full_scale_mps2 = m.accel_full_scale_mps2
             if wide:
                 packet.imu.samples_f32 = np.hstack((m.f_s, m.omega_s)).astype(_FLOAT).tobytes()
             elif accel_scale_mps2 is None or gyro_scale_radps is None:

@@ -45,20 +45,22 @@ class TelemetryPacket(_message.Message):
     def __init__(self, vehicle_id: _Optional[str] = ..., sequence: _Optional[int] = ..., boot_id: _Optional[str] = ..., start_time_ns: _Optional[int] = ..., imu: _Optional[_Union[Imu, _Mapping]] = ..., gnss: _Optional[_Iterable[_Union[GnssFix, _Mapping]]] = ..., magnetometer: _Optional[_Union[Magnetometer, _Mapping]] = ..., wheel_speed: _Optional[_Iterable[_Union[WheelSpeed, _Mapping]]] = ..., temperature_c: _Optional[float] = ..., ignition: _Optional[bool] = ..., flags: _Optional[int] = ...) -> None: ...
 
 class Imu(_message.Message):
-    __slots__ = ("period_ns", "accel_scale_mps2", "gyro_scale_radps", "samples", "samples_f32", "offsets_ns")
+    __slots__ = ("period_ns", "accel_scale_mps2", "gyro_scale_radps", "samples", "samples_f32", "offsets_ns", "accel_full_scale_mps2")
     PERIOD_NS_FIELD_NUMBER: _ClassVar[int]
     ACCEL_SCALE_MPS2_FIELD_NUMBER: _ClassVar[int]
     GYRO_SCALE_RADPS_FIELD_NUMBER: _ClassVar[int]
     SAMPLES_FIELD_NUMBER: _ClassVar[int]
     SAMPLES_F32_FIELD_NUMBER: _ClassVar[int]
     OFFSETS_NS_FIELD_NUMBER: _ClassVar[int]
+    ACCEL_FULL_SCALE_MPS2_FIELD_NUMBER: _ClassVar[int]
     period_ns: int
     accel_scale_mps2: float
     gyro_scale_radps: float
     samples: bytes
     samples_f32: bytes
     offsets_ns: bytes
-    def __init__(self, period_ns: _Optional[int] = ..., accel_scale_mps2: _Optional[float] = ..., gyro_scale_radps: _Optional[float] = ..., samples: _Optional[bytes] = ..., samples_f32: _Optional[bytes] = ..., offsets_ns: _Optional[bytes] = ...) -> None: ...
+    accel_full_scale_mps2: float
+    def __init__(self, period_ns: _Optional[int] = ..., accel_scale_mps2: _Optional[float] = ..., gyro_scale_radps: _Optional[float] = ..., samples: _Optional[bytes] = ..., samples_f32: _Optional[bytes] = ..., offsets_ns: _Optional[bytes] = ..., accel_full_scale_mps2: _Optional[float] = ...) -> None: ...
 
 class GnssFix(_message.Message):
     __slots__ = ("offset_ns", "lat_1e9deg", "lon_1e9deg", "height_mm", "vn_mmps", "ve_mmps", "vd_mmps", "speed_mmps", "course_1e5deg", "sd_h_mm", "sd_v_mm", "sd_vel_mmps", "satellites", "hdop", "vdop", "fix")

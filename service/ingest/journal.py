@@ -24,7 +24,7 @@ from typing import Final, Literal
 from sqlalchemy import Engine, select
 from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 
-from service.errors import ServiceError
+from service.errors import UnavailableError
 from service.ingest.journal_rows import JournalEntry, NewRow, insert_rows, load_rows, read_after
 from service.ingest.sequencing import GAP_WAIT_NS, UNKNOWN_TIME
 from service.ingest.tracking import Tracking
@@ -33,7 +33,7 @@ from service.storage.database import read, write
 from service.storage.tables import vehicles
 from service.storage.vehicles import VehicleRef
 
-__all__ = ["BacklogError", "Incoming", "Journal", "JournalEntry", "JournalError", "Outcome"]
+__all__ = ["BacklogError", "Incoming", "Journal", "JournalEntry", "JournalError", "Outcome", "Span", "Status"]
 
 log = logging.getLogger(__name__)
 
@@ -60,18 +60,16 @@ Status = Literal["accepted", "duplicate", "refused"]
 Span = tuple[str, int, int]
 
 
-class BacklogError(ServiceError):
+class BacklogError(UnavailableError):
     """Packets come faster than they can be made durable; nothing was taken, send again."""
 
     code = "backlog"
-    status = 503
 
 
-class JournalError(ServiceError):
+class JournalError(UnavailableError):
     """The journal could not be written; nothing was taken, send again."""
 
     code = "journal_unavailable"
-    status = 503
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,6 +290,7 @@ class Journal:
             return
         for incoming, future in batch:
             if incoming.vehicle.pk not in present:
+                self._metrics.packets_refused_total.labels(code="unknown_vehicle").inc()
                 future.set_result(Outcome("refused", "unknown_vehicle", 0))
         remaining = [(incoming, future) for incoming, future in batch if incoming.vehicle.pk in present]
         if remaining:

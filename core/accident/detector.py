@@ -15,7 +15,7 @@ from core.accident.events import Impact, Severity, VehicleMotion
 from core.accident.level import A_X, A_Y, GAP, SPEED, V_X, V_Y, Flags, LevelMotion
 from core.accident.pulse import read_pulse, unclip
 from core.accident.severity import classify, confidence, force_direction_deg
-from core.accident.thresholds import ImpactThresholds
+from core.accident.thresholds import DetectorThresholds
 from core.measurements import FloatArray, TimeArray
 
 NAME: Final = "telefuse"
@@ -39,8 +39,8 @@ class ImpactDetector:
     ``revision``, only if a later one is of a higher class.
     """
 
-    def __init__(self, thresholds: ImpactThresholds | None = None) -> None:
-        self._thresholds = thresholds or ImpactThresholds()
+    def __init__(self, thresholds: DetectorThresholds | None = None) -> None:
+        self._thresholds = thresholds or DetectorThresholds()
         self._level = LevelMotion(self._thresholds.level)
         self._registers = np.array([0, 0, 0, _NEVER, _NEVER, _NEVER, 0, 0, 0], dtype=np.int64)
 

@@ -95,7 +95,7 @@ class PaperThresholds(Tunables):
 
 
 @dataclass(frozen=True, slots=True)
-class ImpactThresholds(Tunables):
+class DetectorThresholds(Tunables):
     """The project's own detector: a change of velocity that no tyre can bring about.
 
     Over w seconds brakes and steering change the horizontal velocity by at most ``tyre_mps2`` times w. What

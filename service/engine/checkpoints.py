@@ -7,6 +7,7 @@ from typing import Any
 
 from sqlalchemy import Connection, func, select
 
+from service.ingest.sequencing import Sequencer
 from service.storage.statements import insert_into
 from service.storage.tables import checkpoints, journal
 
@@ -66,3 +67,9 @@ def lagging(connection: Connection) -> list[Lag]:
         .group_by(journal.c.vehicle_pk)
     )
     return [Lag(*row) for row in rows]
+
+
+def holding(connection: Connection) -> set[int]:
+    """Vehicles whose checkpoint has packets held back behind a gap."""
+    rows = connection.execute(select(checkpoints.c.vehicle_pk, checkpoints.c.sequencer)).yield_per(1000)
+    return {pk for pk, sequencer in rows if Sequencer.from_json(sequencer).pending_ids()}

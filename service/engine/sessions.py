@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
+import numpy as np
+
+from core.measurements import GNSS, GNSS_COLUMNS, Measurements
 from core.navigation.filter import FilterConfig
 from core.preparation import Mounting
 from core.sensors import TriadCalibration
 from core.session import Session, SessionConfig
 from schemas.vehicles import SensorCalibration, VehicleConfig
+
+EARTH_RADIUS_M: Final = 6.37e6
+"""Close enough for the made-up drive of ``warm_up``."""
 
 
 def session_config(config: VehicleConfig) -> SessionConfig:
@@ -30,6 +37,29 @@ def open_session(config: VehicleConfig, snapshot: bytes | None) -> Session:
     """A new session, or one that goes on from a snapshot; raises SnapshotError."""
     settings = session_config(config)
     return Session(settings) if snapshot is None else Session.restore(settings, snapshot)
+
+
+def warm_up() -> None:
+    """Run a session over some seconds of made-up driving, so that no packet waits for the compiler."""
+    rate_hz, duration_s, speed_mps = 100, 12, 10.0
+    t_s = np.arange(rate_hz * duration_s) / rate_hz
+    fix_s = np.arange(duration_s)
+    gnss = np.full((duration_s, len(GNSS_COLUMNS)), np.nan)
+    gnss[:, [GNSS["lat_rad"], GNSS["lon_rad"], GNSS["alt_m"]]] = 0.7, 0.0, 100.0
+    gnss[:, GNSS["lat_rad"]] += fix_s * speed_mps / EARTH_RADIUS_M
+    gnss[:, [GNSS["vn_mps"], GNSS["ve_mps"], GNSS["vd_mps"]]] = speed_mps, 0.0, 0.0
+    gnss[:, GNSS["fix"]] = 3.0
+    session = Session(SessionConfig(mounting=Mounting(known=True)))
+    session.step(
+        Measurements(
+            imu_t_ns=np.rint(t_s * 1e9).astype(np.int64),
+            f_s=np.tile([0.0, 0.0, -9.8], (len(t_s), 1)),
+            omega_s=np.zeros((len(t_s), 3)),
+            gnss_t_ns=np.rint(fix_s * 1e9).astype(np.int64),
+            gnss=gnss,
+        )
+    )
+    session.snapshot()
 
 
 def _triad(calibration: SensorCalibration | None) -> TriadCalibration:

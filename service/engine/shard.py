@@ -310,6 +310,7 @@ class Shard(threading.Thread):
         self.quarantined[ref.pk] = f"{ref.tenant_id}/{ref.vehicle_id}: {type(error).__name__}: {error}"
         self.inbox.close(ref.pk)
         self._vehicles.pop(ref.pk, None)
+        self._context.metrics.session_rejections_total.labels(aid="session", outcome="quarantined").inc()
         logger.error(
             "vehicle %s of tenant %s is set aside: its session failed; its packets wait in the journal for a restart",
             ref.vehicle_id,

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
 from core.earth import radii_m
 from core.measurements import GNSS, FloatArray, TimeArray
-from core.navigation.kalman import project, update
+from core.navigation.kalman import along, project, project_axis, update
 from core.navigation.mechanization import fold_position, matrix_of
 from core.navigation.state import (
     A_HEIGHT,
@@ -88,6 +87,12 @@ _P_SPEED = PARAMETER["speed_sd_mps"]
 _P_ZUPT = PARAMETER["zupt_sd_mps"]
 _P_ZARU = PARAMETER["zaru_sd_radps"]
 
+Work = tuple[int, FloatArray, FloatArray]
+"""Scratch of one call: number of states, error estimate dx (n,), P H' (n,).
+
+The number of states comes at run time on purpose: of a constant the compiler makes slower, unrolled loops.
+"""
+
 COURSE_MIN_SPEED_MPS = 1.0
 """Below this a receiver's course is noise; its speed alone then says little more than the position."""
 
@@ -150,7 +155,7 @@ def _usable(fix: FloatArray, par: FloatArray) -> bool:
 
 @njit(cache=True, nogil=True)
 def _reset_position(
-    x: FloatArray, ti: TimeArray, p: FloatArray, n: int, nu: FloatArray, sd_h: float, par: FloatArray
+    x: FloatArray, ti: TimeArray, p: FloatArray, n: int, nu: tuple[float, float], sd_h: float, par: FloatArray
 ) -> None:
     """Take the position from the fixes that agree against us; open velocity and heading for what follows."""
     for i in range(2):
@@ -174,15 +179,14 @@ def fuse_position(
     fix: FloatArray,
     lever_b: FloatArray,
     par: FloatArray,
-    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+    work: Work,
     counts: TimeArray,
 ) -> bool:
     """GNSS position: horizontal by one gate of two dimensions, height by its own. True if fused.
 
     ``lever_b`` is the antenna against the inertial sensor, body axes, m.
     """
-    dx, ph, h, index = work
-    n = N_STATES
+    n, dx, ph = work
     if not _usable(fix, par):
         counts[A_POSITION, REJECTED_RANGE] += 1
         return False
@@ -198,53 +202,50 @@ def fuse_position(
         d_lon -= 2.0 * math.pi
     elif d_lon < -math.pi:
         d_lon += 2.0 * math.pi
-    nu = np.empty(3)
-    nu[0] = (fix[_LAT] - x[X_LAT]) * (meridian + x[X_ALT]) + lag_s * x[X_V] - ln
-    nu[1] = d_lon * (transverse + x[X_ALT]) * math.cos(x[X_LAT]) + lag_s * x[X_V + 1] - le
-    nu[2] = -(fix[_ALT] - x[X_ALT]) + lag_s * x[X_V + 2] - ld
+    nu_n = (fix[_LAT] - x[X_LAT]) * (meridian + x[X_ALT]) + lag_s * x[X_V] - ln
+    nu_e = d_lon * (transverse + x[X_ALT]) * math.cos(x[X_LAT]) + lag_s * x[X_V + 1] - le
+    nu_d = -(fix[_ALT] - x[X_ALT]) + lag_s * x[X_V + 2] - ld
     sd_h, sd_v = _position_sd_m(fix, par)
 
     rr = sd_h * sd_h
     snn, see, sne = p[0] + rr, p[n + 1] + rr, p[1]
     determinant = snn * see - sne * sne
-    ratio = (see * nu[0] * nu[0] - 2.0 * sne * nu[0] * nu[1] + snn * nu[1] * nu[1]) / determinant
+    ratio = (see * nu_n * nu_n - 2.0 * sne * nu_n * nu_e + snn * nu_e * nu_e) / determinant
     fused = ratio <= par[_P_GATE_POS]
     if not fused:
         counts[A_POSITION, REJECTED_GATE] += 1
-        away_n, away_e = nu[0] - x[X_REJECTED_N], nu[1] - x[X_REJECTED_N + 1]
+        away_n, away_e = nu_n - x[X_REJECTED_N], nu_e - x[X_REJECTED_N + 1]
         agreement = par[_P_AGREE] + 3.0 * sd_h
         agrees = away_n * away_n + away_e * away_e <= agreement * agreement
         if ti[I_REJECTED] == 0 or not agrees:
             ti[T_REJECTED] = t_ns
             ti[I_REJECTED] = 0
         ti[I_REJECTED] += 1
-        x[X_REJECTED_N], x[X_REJECTED_N + 1] = nu[0], nu[1]
+        x[X_REJECTED_N], x[X_REJECTED_N + 1] = nu_n, nu_e
         long_enough = (t_ns - ti[T_REJECTED]) * 1e-9 >= par[_P_RECOVERY]
         if not (long_enough and ti[I_REJECTED] >= par[_P_RECOVERY_FIXES]):
             return False
-        _reset_position(x, ti, p, n, nu, sd_h, par)
+        _reset_position(x, ti, p, n, (nu_n, nu_e), sd_h, par)
         counts[A_POSITION, RESET] += 1
         ti[I_RESETS] += 1
     else:
-        for i in range(2):
-            index[0] = POS + i
-            h[0] = 1.0
-            # (phi x l)_i = l_{i+2} phi_{i+1} - l_{i+1} phi_{i+2}, cyclic
-            index[1], index[2] = ATT + (i + 1) % 3, ATT + (i + 2) % 3
-            h[1] = ld if i == 0 else ln
-            h[2] = -le if i == 0 else -ld
-            s = project(p, n, index, h, 3, ph) + rr
-            update(p, n, ph, s, nu[i] - dx[POS + i] - h[1] * dx[index[1]] - h[2] * dx[index[2]], dx)
+        # z - h = dr + (phi x l)
+        groups = (POS, ATT, SPEED_SCALE)
+        row_n = (1.0, 0.0, 0.0, 0.0, ld, -le, 0.0, 0.0, 0.0)
+        row_e = (0.0, 1.0, 0.0, -ld, 0.0, ln, 0.0, 0.0, 0.0)
+        s = project(p, n, groups, row_n, ph) + rr
+        update(p, n, ph, s, nu_n - along(groups, row_n, dx), dx)
+        s = project(p, n, groups, row_e, ph) + rr
+        update(p, n, ph, s, nu_e - along(groups, row_e, dx), dx)
         counts[A_POSITION, FUSED] += 1
         ti[I_RESETS] = 0
     ti[I_REJECTED] = 0
     ti[T_GNSS] = ti[T_NOW]
     ti[I_GNSS_USED] = 1
 
-    if math.isfinite(nu[2]):
-        index[0], h[0] = POS + 2, 1.0
-        s = project(p, n, index, h, 1, ph) + sd_v * sd_v
-        innovation = nu[2] - dx[POS + 2]
+    if math.isfinite(nu_d):
+        s = project_axis(p, n, POS + 2, ph) + sd_v * sd_v
+        innovation = nu_d - dx[POS + 2]
         if innovation * innovation <= par[_P_GATE] * s or not fused:
             update(p, n, ph, s, innovation, dx)
             counts[A_HEIGHT, FUSED] += 1
@@ -264,12 +265,11 @@ def fuse_velocity(
     fix: FloatArray,
     lever_b: FloatArray,
     par: FloatArray,
-    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+    work: Work,
     counts: TimeArray,
 ) -> None:
     """GNSS velocity, or speed with course: horizontal by one gate of two dimensions, vertical by its own."""
-    dx, ph, h, index = work
-    n = N_STATES
+    n, dx, ph = work
     vn, ve, vd = fix[_VN], fix[_VE], fix[_VD]
     if not (math.isfinite(vn) and math.isfinite(ve)):
         if not (math.isfinite(fix[_SPEED]) and math.isfinite(fix[_COURSE])):
@@ -298,11 +298,9 @@ def fuse_velocity(
         counts[A_VELOCITY, REJECTED_GATE] += 1
         return
     counts[A_VELOCITY, FUSED] += 1
-    h[0] = 1.0
     for i in range(3):
         nu = nu_n if i == 0 else (nu_e if i == 1 else nu_d)
-        index[0] = VEL + i
-        s = project(p, n, index, h, 1, ph) + rr
+        s = project_axis(p, n, VEL + i, ph) + rr
         innovation = nu - dx[VEL + i]
         if i < 2 or (math.isfinite(nu) and innovation * innovation <= par[_P_GATE] * s):
             update(p, n, ph, s, innovation, dx)
@@ -318,16 +316,18 @@ def _fuse_body_velocity(
     du_yaw: tuple[float, float, float],
     reading: float,
     gain: float,
+    scale_factor: float,
     variance: float,
     gate: float,
-    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+    work: Work,
 ) -> bool:
     """Fuse ``reading`` = gain (u . v_b) with the axis ``u`` in b and its derivatives by the mounting angles.
 
+    ``scale_factor`` is 1 where the gain holds the wheel speed's scale, else 0. The loop is left open.
+
     d(u . C' v) = (C u) . dv + ((C u) x v) . phi + (du . v_b): from C(true) = (I + [phi x]) C.
     """
-    dx, ph, h, index = work
-    n = N_STATES
+    n, dx, ph = work
     c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
     vn, ve, vd = x[X_V], x[X_V + 1], x[X_V + 2]
     bx = c[0] * vn + c[3] * ve + c[6] * vd
@@ -336,23 +336,27 @@ def _fuse_body_velocity(
     wn = gain * (c[0] * u[0] + c[1] * u[1] + c[2] * u[2])
     we = gain * (c[3] * u[0] + c[4] * u[1] + c[5] * u[2])
     wd = gain * (c[6] * u[0] + c[7] * u[1] + c[8] * u[2])
-    along = u[0] * bx + u[1] * by + u[2] * bz
-    index[0], index[1], index[2] = VEL, VEL + 1, VEL + 2
-    h[0], h[1], h[2] = wn, we, wd
-    index[3], index[4], index[5] = ATT, ATT + 1, ATT + 2
-    h[3], h[4], h[5] = we * vd - wd * ve, wd * vn - wn * vd, wn * ve - we * vn
-    index[6], h[6] = MOUNT_PITCH, gain * (du_pitch[0] * bx + du_pitch[1] * by + du_pitch[2] * bz)
-    index[7], h[7] = MOUNT_YAW, gain * (du_yaw[0] * bx + du_yaw[1] * by + du_yaw[2] * bz)
-    index[8], h[8] = SPEED_SCALE, along if gain != 1.0 or reading != 0.0 else 0.0
-    innovation = reading - gain * along
-    s = project(p, n, index, h, 9, ph) + variance
+    projected = u[0] * bx + u[1] * by + u[2] * bz
+    groups = (VEL, ATT, SPEED_SCALE)
+    row = (
+        wn,
+        we,
+        wd,
+        we * vd - wd * ve,
+        wd * vn - wn * vd,
+        wn * ve - we * vn,
+        scale_factor * projected,
+        gain * (du_pitch[0] * bx + du_pitch[1] * by + du_pitch[2] * bz),
+        gain * (du_yaw[0] * bx + du_yaw[1] * by + du_yaw[2] * bz),
+    )
+    innovation = reading - gain * projected - along(groups, row, dx)
+    s = project(p, n, groups, row, ph) + variance
     excess = innovation * innovation / (gate * s)
     if excess > ROBUST_LIMIT:
         return False
     # Past the gate the reading still pulls, with the variance under which it would just pass.
     s *= max(excess, 1.0)
     update(p, n, ph, s, innovation, dx)
-    correct(x, dx)
     return True
 
 
@@ -361,13 +365,14 @@ def fuse_non_holonomic(
     x: FloatArray,
     p: FloatArray,
     par: FloatArray,
-    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+    work: Work,
     counts: TimeArray,
 ) -> None:
     """A car goes where its wheels point: no lateral and no vertical speed in the vehicle's own axes.
 
     The lateral spread grows with the yaw rate, since the box is not at the rear axle.
     """
+    dx = work[1]
     speed_sq = x[X_V] ** 2 + x[X_V + 1] ** 2
     if speed_sq < par[_P_NHC_SPEED] ** 2:
         counts[A_NHC, REJECTED_RANGE] += 1
@@ -379,7 +384,7 @@ def fuse_non_holonomic(
     slip = par[_P_NHC_LEVER] * yaw_rate
     none = (0.0, 0.0, 0.0)
     lateral = _fuse_body_velocity(
-        x, p, (-sy, cy, 0.0), none, (-cy, -sy, 0.0), 0.0, 1.0, base + slip * slip, par[_P_GATE], work
+        x, p, (-sy, cy, 0.0), none, (-cy, -sy, 0.0), 0.0, 1.0, 0.0, base + slip * slip, par[_P_GATE], work
     )
     vertical = _fuse_body_velocity(
         x,
@@ -389,10 +394,12 @@ def fuse_non_holonomic(
         (-sy * sp, cy * sp, 0.0),
         0.0,
         1.0,
+        0.0,
         base,
         par[_P_GATE],
         work,
     )
+    correct(x, dx)
     counts[A_NHC, FUSED if lateral else REJECTED_GATE] += 1
     counts[A_NHC, FUSED if vertical else REJECTED_GATE] += 1
 
@@ -404,16 +411,13 @@ def fuse_speed(
     p: FloatArray,
     reading_mps: float,
     par: FloatArray,
-    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+    work: Work,
     counts: TimeArray,
 ) -> None:
     """Wheel speed: (1 + scale) times the speed along the vehicle's forward axis."""
     sp, cp = math.sin(x[X_MOUNT_PITCH]), math.cos(x[X_MOUNT_PITCH])
     sy, cy = math.sin(x[X_MOUNT_YAW]), math.cos(x[X_MOUNT_YAW])
     ti[T_SPEED] = ti[T_NOW]
-    gain = 1.0 + x[X_SCALE]
-    if gain == 1.0:
-        gain = 1.0 + 1e-12  # so that the scale's own derivative is kept
     fused = _fuse_body_velocity(
         x,
         p,
@@ -421,11 +425,13 @@ def fuse_speed(
         (-cy * sp, -sy * sp, -cp),
         (-sy * cp, cy * cp, 0.0),
         reading_mps,
-        gain,
+        1.0 + x[X_SCALE],
+        1.0,
         par[_P_SPEED] ** 2,
         par[_P_GATE],
         work,
     )
+    correct(x, work[1])
     counts[A_SPEED, FUSED if fused else REJECTED_GATE] += 1
 
 
@@ -435,23 +441,19 @@ def fuse_standstill(
     p: FloatArray,
     mean_omega_b: FloatArray,
     par: FloatArray,
-    work: tuple[FloatArray, FloatArray, FloatArray, TimeArray],
+    work: Work,
     counts: TimeArray,
 ) -> None:
     """Standing: velocity is zero, and what the gyroscopes read is their bias (Earth rate is below their noise)."""
-    dx, ph, h, index = work
-    n = N_STATES
-    h[0] = 1.0
+    n, dx, ph = work
     variance = par[_P_ZUPT] ** 2
     for i in range(3):
-        index[0] = VEL + i
-        s = project(p, n, index, h, 1, ph) + variance
+        s = project_axis(p, n, VEL + i, ph) + variance
         update(p, n, ph, s, -x[X_V + i] - dx[VEL + i], dx)
     counts[A_ZUPT, FUSED] += 1
     variance = par[_P_ZARU] ** 2
     for i in range(3):
-        index[0] = GYRO_BIAS + i
-        s = project(p, n, index, h, 1, ph) + variance
+        s = project_axis(p, n, GYRO_BIAS + i, ph) + variance
         update(p, n, ph, s, mean_omega_b[i] - x[X_BG + i] - dx[GYRO_BIAS + i], dx)
     counts[A_ZARU, FUSED] += 1
     correct(x, dx)

@@ -115,16 +115,28 @@ _COASTING, _AIDED = int(Mode.COASTING), int(Mode.AIDED)
 
 
 @njit(cache=True, nogil=True)
-def _catch_up(x: FloatArray, ti: TimeArray, p: FloatArray, scratch: FloatArray, q: FloatArray, par: FloatArray) -> None:
+def _catch_up(
+    x: FloatArray, ti: TimeArray, p: FloatArray, n: int, scratch: FloatArray, q: FloatArray, par: FloatArray
+) -> None:
     """Bring the covariance up to the newest sample."""
     dt = (ti[T_NOW] - ti[T_COV]) * 1e-9
     if dt <= 0.0:
         return
-    c1 = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
-    c = np.empty(9)
-    for i in range(9):
-        c[i] = 0.5 * (x[X_C0 + i] + c1[i])
-        x[X_C0 + i] = c1[i]
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
+    mean = (
+        0.5 * (x[X_C0] + c0),
+        0.5 * (x[X_C0 + 1] + c1),
+        0.5 * (x[X_C0 + 2] + c2),
+        0.5 * (x[X_C0 + 3] + c3),
+        0.5 * (x[X_C0 + 4] + c4),
+        0.5 * (x[X_C0 + 5] + c5),
+        0.5 * (x[X_C0 + 6] + c6),
+        0.5 * (x[X_C0 + 7] + c7),
+        0.5 * (x[X_C0 + 8] + c8),
+    )
+    x[X_C0], x[X_C0 + 1], x[X_C0 + 2] = c0, c1, c2
+    x[X_C0 + 3], x[X_C0 + 4], x[X_C0 + 5] = c3, c4, c5
+    x[X_C0 + 6], x[X_C0 + 7], x[X_C0 + 8] = c6, c7, c8
     bridged = x[X_BRIDGED_S]
     clipped = par[_SATURATED] * x[X_SATURATED_S]
     attitude = par[_GYRO_NOISE] ** 2 * dt
@@ -141,7 +153,7 @@ def _catch_up(x: FloatArray, ti: TimeArray, p: FloatArray, scratch: FloatArray, 
     q[SPEED_SCALE] = par[_SCALE_WALK] ** 2 * dt
     q[MOUNT_PITCH] = par[_MOUNT_WALK] ** 2 * dt
     q[MOUNT_YAW] = par[_MOUNT_WALK] ** 2 * dt
-    propagate(p, scratch, N_STATES, dt, x[X_DV : X_DV + 3], c, q)
+    propagate(p, scratch, n, dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, q)
     x[X_DV], x[X_DV + 1], x[X_DV + 2] = 0.0, 0.0, 0.0
     x[X_SATURATED_S], x[X_BRIDGED_S] = 0.0, 0.0
     ti[T_COV] = ti[T_NOW]
@@ -168,6 +180,10 @@ def _close_block(x: FloatArray, ti: TimeArray, p: FloatArray, ring: FloatArray, 
     ti[I_STATIONARY] = 0
     if ti[I_BLOCKS] < N_BLOCKS:
         return
+    i0 = VEL * N_STATES + VEL
+    limit = par[_STILL_SPEED] + 3.0 * math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
+    if x[X_V] ** 2 + x[X_V + 1] ** 2 > limit * limit:
+        return
     spread_f, spread_w = 0.0, 0.0
     for i in range(6):
         total, squares = 0.0, 0.0
@@ -181,12 +197,7 @@ def _close_block(x: FloatArray, ti: TimeArray, p: FloatArray, ring: FloatArray, 
             spread_f += variance
         else:
             spread_w += variance
-    if spread_f > par[_STILL_ACCEL] ** 2 or spread_w > par[_STILL_GYRO] ** 2:
-        return
-    i0 = VEL * N_STATES + VEL
-    sd = math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
-    limit = par[_STILL_SPEED] + 3.0 * sd
-    if x[X_V] ** 2 + x[X_V + 1] ** 2 <= limit * limit:
+    if spread_f <= par[_STILL_ACCEL] ** 2 and spread_w <= par[_STILL_GYRO] ** 2:
         ti[I_STATIONARY] = 1
 
 
@@ -270,9 +281,9 @@ def run(
     """
     n_samples = imu_t_ns.shape[0]
     n_gnss, n_speed = gnss_t_ns.shape[0], speed_t_ns.shape[0]
-    dx, ph, h = np.zeros(N_STATES), np.empty(N_STATES), np.empty(9)
-    index = np.empty(9, np.int64)
-    work = (dx, ph, h, index)
+    dx, ph = np.zeros(N_STATES), np.empty(N_STATES)
+    n = round(math.sqrt(p.shape[0]))
+    work = (n, dx, ph)
     scratch, q = np.empty(N_STATES * N_STATES), np.zeros(N_STATES)
     block_ns = np.int64(round(par[_COVARIANCE_S] * 1e9))
     constraint_ns = np.int64(round(par[_CONSTRAINT_S] * 1e9))
@@ -296,17 +307,16 @@ def run(
     t_prev = ti[T_NOW]
     next_event = np.int64(0)
     stopped = STOPPED_END
-    k = 0
-    while k < n_samples:
+    used = n_samples
+    for k in range(n_samples):
         t = imu_t_ns[k]
         dt = (t - t_prev) * 1e-9
         if dt <= 0.0:
             counts[A_IMU, REJECTED_TIME] += 1
             epochs[k, 0], epochs[k, 1], epochs[k, 2], epochs[k, 3] = np.nan, np.nan, np.nan, np.nan
-            k += 1
             continue
         if dt > gap_s:
-            stopped = STOPPED_GAP
+            used, stopped = k, STOPPED_GAP
             break
         nfx, nfy, nfz = f_b[k, 0], f_b[k, 1], f_b[k, 2]
         nwx, nwy, nwz = omega_b[k, 0], omega_b[k, 1], omega_b[k, 2]
@@ -351,14 +361,14 @@ def run(
                 ti[I_BLOCK] = in_block
                 _close_block(x, ti, p, ring, par)
                 s0, s1, s2, s3, s4, s5, in_block = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
-                _catch_up(x, ti, p, scratch, q, par)
+                _catch_up(x, ti, p, n, scratch, q, par)
                 fold_position(x, ti)
                 if t // 1_000_000_000 != ti[T_NEXT_BLOCK] // 1_000_000_000 or ti[T_NEXT_BLOCK] % 1_000_000_000 == 0:
-                    symmetrise(p, N_STATES)
+                    symmetrise(p, n)
                 ti[T_NEXT_BLOCK] = (t // block_ns + 1) * block_ns
             while i_gnss < n_gnss and gnss_t_ns[i_gnss] <= t:
                 if not too_old(ti, gnss_t_ns[i_gnss], par, A_POSITION, counts):
-                    _catch_up(x, ti, p, scratch, q, par)
+                    _catch_up(x, ti, p, n, scratch, q, par)
                     if fuse_position(x, ti, p, gnss_t_ns[i_gnss], gnss[i_gnss], antenna_lever_b, par, work, counts):
                         fold_position(x, ti)
                     fuse_velocity(x, ti, p, gnss[i_gnss], antenna_lever_b, par, work, counts)
@@ -371,12 +381,12 @@ def run(
                     if not (reading >= 0.0 and reading < 150.0):
                         counts[A_SPEED, REJECTED_RANGE] += 1
                     elif t - ti[T_SPEED] >= speed_ns:
-                        _catch_up(x, ti, p, scratch, q, par)
+                        _catch_up(x, ti, p, n, scratch, q, par)
                         fuse_speed(x, ti, p, reading, par, work, counts)
                 i_speed += 1
             if t >= ti[T_NEXT_CONSTRAINT]:
                 ti[T_NEXT_CONSTRAINT] = (t // constraint_ns + 1) * constraint_ns
-                _catch_up(x, ti, p, scratch, q, par)
+                _catch_up(x, ti, p, n, scratch, q, par)
                 if ti[I_STATIONARY] != 0 and switches & USE_ZUPT:
                     newest = ((ti[I_BLOCKS] - 1) % N_BLOCKS) * 6 + 3
                     fuse_standstill(x, p, ring[newest : newest + 3], par, work, counts)
@@ -403,8 +413,8 @@ def run(
         s0, s1, s2 = s0 + nfx, s1 + nfy, s2 + nfz
         s3, s4, s5 = s3 + nwx, s4 + nwy, s5 + nwz
         in_block += 1
-        k += 1
         if stopped == STOPPED_LOST:
+            used = k + 1
             break
     x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3] = qw, qx, qy, qz
     x[X_V], x[X_V + 1], x[X_V + 2] = vn, ve, vd
@@ -416,4 +426,4 @@ def run(
     x[X_BLOCK + 3], x[X_BLOCK + 4], x[X_BLOCK + 5] = s3, s4, s5
     ti[I_BLOCK] = in_block
     ti[T_NOW] = t_prev
-    return k, i_gnss, i_speed, rows, stopped
+    return used, i_gnss, i_speed, rows, stopped

@@ -45,22 +45,22 @@ def matrix_of(w, x, y, z):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def turned(w, x, y, z, ax, ay, az):  # type: ignore[no-untyped-def]
-    """Quaternion (w, x, y, z) followed by the body rotation vector (ax, ay, az), rad, normalised.
+    """Quaternion (w, x, y, z) followed by the body rotation vector (ax, ay, az), rad.
 
-    Fifth-order series of the half angle: exact to 1e-12 for a tenth of a radian.
+    Fifth-order series of the half angle: exact to 1e-12 for a tenth of a radian. ``fold_position``
+    brings the norm back to one ten times a second.
     """
     hx, hy, hz = 0.5 * ax, 0.5 * ay, 0.5 * az
     m = hx * hx + hy * hy + hz * hz
     c = 1.0 - m * (0.5 - m * (1.0 / 24.0))
     s = 1.0 - m * (1.0 / 6.0 - m * (1.0 / 120.0))
     hx, hy, hz = hx * s, hy * s, hz * s
-    nw = w * c - x * hx - y * hy - z * hz
-    nx = w * hx + x * c + y * hz - z * hy
-    ny = w * hy - x * hz + y * c + z * hx
-    nz = w * hz + x * hy - y * hx + z * c
-    # One Newton step of 1/sqrt: the norm never strays far from one.
-    k = 1.5 - 0.5 * (nw * nw + nx * nx + ny * ny + nz * nz)
-    return nw * k, nx * k, ny * k, nz * k
+    return (
+        w * c - x * hx - y * hy - z * hz,
+        w * hx + x * c + y * hz - z * hy,
+        w * hy - x * hz + y * c + z * hx,
+        w * hz + x * hy - y * hx + z * c,
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -87,10 +87,12 @@ def fold_position(x: FloatArray, ti: TimeArray) -> None:
     # q_n_from_b <- exp(-omega_in dt / 2) q, to first order: the angle is below 1e-5 rad.
     hx, hy, hz = -0.5 * x[X_WIN] * dt, -0.5 * x[X_WIN + 1] * dt, -0.5 * x[X_WIN + 2] * dt
     w, qx, qy, qz = x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3]
-    x[X_Q] = w - hx * qx - hy * qy - hz * qz
-    x[X_Q + 1] = qx + hx * w + hy * qz - hz * qy
-    x[X_Q + 2] = qy - hx * qz + hy * w + hz * qx
-    x[X_Q + 3] = qz + hx * qy - hy * qx + hz * w
+    nw = w - hx * qx - hy * qy - hz * qz
+    nx = qx + hx * w + hy * qz - hz * qy
+    ny = qy - hx * qz + hy * w + hz * qx
+    nz = qz + hx * qy - hy * qx + hz * w
+    k = 1.0 / math.sqrt(nw * nw + nx * nx + ny * ny + nz * nz)
+    x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3] = nw * k, nx * k, ny * k, nz * k
 
     s, c = math.sin(x[X_LAT]), math.cos(x[X_LAT])
     vn, ve, vd = x[X_V], x[X_V + 1], x[X_V + 2]

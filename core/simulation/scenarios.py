@@ -30,8 +30,8 @@ from core.simulation.sensors import (
 )
 from core.simulation.trajectory import Place, Trajectory, drive
 
-START_T_NS: Final = 1_777_883_400_000_000_000
-"""2026-05-04T08:30:00Z, a Monday in May."""
+START_T_NS: Final = 1_714_984_200_000_000_000
+"""2024-05-06T08:30:00Z, a Monday in May: past for any clock, since a service refuses packets from the future."""
 
 MADRID: Final = Place(math.radians(40.4105), math.radians(-3.7140), 640.0, (25.6, 0.15, 37.3))
 """Beside the Calle 30, a ring road with 6 km of tunnel. The field is the epoch's there (45.2 uT, inclination
@@ -160,6 +160,7 @@ def simulate(
             magnetic_s_ut=magnetic,
             speed_t_ns=absolute_ns(speed_t_s),
             speed_mps=speed,
+            accel_full_scale_mps2=chosen.device.accelerometer.full_scale,
         ),
         trajectory=trajectory,
         truth=_truth(scenario, seed, chosen.device, errors, route, trajectory),

@@ -93,6 +93,14 @@ class Vibration(Tunables):
     horizontal_share: float = tunable(0.4, unit="1", low=0.0, high=1.0, source="choice: of the vertical shaking")
     engine_hz: float = tunable(27.0, unit="Hz", low=5.0, high=200.0, source="four cylinders idling at 800 rpm")
     engine_sd_mps2: float = tunable(0.06, unit="m/s2", low=0.0, high=2.0, source="choice: idling car 0.03-0.1")
+    ringing_hz: float = tunable(45.0, unit="Hz", low=5.0, high=200.0, source="choice: body structure, 30-60 Hz")
+    ringing_share: float = tunable(
+        0.15, unit="1", low=0.0, high=1.0, source="choice: ringing after a blow, sd over the blow's acceleration"
+    )
+    ringing_from_mps2: float = tunable(
+        6.0, unit="m/s2", low=0.0, high=100.0, source="choice: below it springs and tyres swallow a blow"
+    )
+    ringing_s: float = tunable(0.08, unit="s", low=0.005, high=1.0, source="choice: decay of the ringing")
     gyro_radps_per_mps2: float = tunable(
         0.010, unit="rad/s per m/s2", low=0.0, high=0.1, source="choice: 0.25 deg/s at 14 m/s"
     )
@@ -199,7 +207,7 @@ def measure_inertial(
 ) -> tuple[FloatArray, FloatArray]:
     """Specific force and rate, (n, 3) each in sensor axes: shaken, distorted, noisy, clipped and quantised."""
     dt_s = float(truth.t_s[1] - truth.t_s[0])
-    shake_b = _vibration(truth.speed_mps, device.vibration, dt_s, rng)
+    shake_b = _vibration(truth, device.vibration, dt_s, rng)
     twist_b = device.vibration.gyro_radps_per_mps2 * shake_b[:, [1, 0, 2]]
     f_s = _turn(errors.C_s_from_b, truth.f_b + shake_b)
     omega_s = _turn(errors.C_s_from_b, truth.omega_b + twist_b)
@@ -252,13 +260,21 @@ def _every(truth: Trajectory, rate_hz: float) -> FloatArray:
     return np.unique(np.minimum(np.rint(np.arange(count) / rate_hz / dt_s).astype(np.int64), truth.t_s.size - 1))
 
 
-def _vibration(speed_mps: FloatArray, vibration: Vibration, dt_s: float, rng: np.random.Generator) -> FloatArray:
-    n = speed_mps.size
+def _vibration(truth: Trajectory, vibration: Vibration, dt_s: float, rng: np.random.Generator) -> FloatArray:
+    """Shaking by the road, the engine, and the body's ringing after a blow: (n, 3), m/s2."""
+    n = truth.t_s.size
     axes = np.array([vibration.horizontal_share, vibration.horizontal_share, 1.0])
-    road_sd = vibration.road_sd_mps2 * np.sqrt(speed_mps / vibration.road_speed_mps)
+    road_sd = vibration.road_sd_mps2 * np.sqrt(truth.speed_mps / vibration.road_speed_mps)
     road = np.column_stack([_band(n, vibration.road_hz, vibration.road_width, dt_s, rng) for _ in range(3)])
     engine = np.column_stack([_band(n, vibration.engine_hz, 0.02, dt_s, rng) for _ in range(3)])
-    return np.asarray(road * axes * road_sd[:, None] + engine * vibration.engine_sd_mps2)
+    ringing = np.column_stack([_band(n, vibration.ringing_hz, 0.15, dt_s, rng) for _ in range(3)])
+    moved = np.hypot(np.hypot(truth.f_b[:, 0], truth.f_b[:, 1]), truth.f_b[:, 2] + STANDARD_GRAVITY_MPS2)
+    blow = np.maximum(0.0, moved - vibration.ringing_from_mps2)
+    fade = math.exp(-dt_s / vibration.ringing_s)
+    ringing_sd = vibration.ringing_share * lfilter([1.0 - fade], [1.0, -fade], blow)
+    return np.asarray(
+        road * axes * road_sd[:, None] + engine * vibration.engine_sd_mps2 + ringing * ringing_sd[:, None]
+    )
 
 
 def _band(n: int, centre_hz: float, width: float, dt_s: float, rng: np.random.Generator) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import tempfile
@@ -109,6 +110,7 @@ def read_drive(folder: Path | str) -> Drive:
         magnetic_s_ut=magnetic_s_ut,
         speed_t_ns=speed_t_ns,
         speed_mps=np.ascontiguousarray(speed[:, 0]),
+        accel_full_scale_mps2=header.imu.accel_full_scale_mps2 or math.nan,
     )
     return Drive(
         name=header.name,

@@ -21,12 +21,16 @@ _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True, slots=True)
 class ImuSetup:
-    """The ``[imu]`` table; without ``mounting_rpy_deg`` (C_b_from_s) the mounting is unknown."""
+    """The ``[imu]`` table; without ``mounting_rpy_deg`` (C_b_from_s) the mounting is unknown.
+
+    ``accel_full_scale_mps2`` is where the accelerometer clips, None if unknown.
+    """
 
     rate_hz: float | None = None
     axes: str | None = None
     mounting_rpy_deg: Vector | None = None
     lever_arm_m: Vector = _NO_LEVER_ARM
+    accel_full_scale_mps2: float | None = None
     noise: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -80,6 +84,7 @@ def read_header(path: Path) -> DriveHeader:
             axes=imu.text("axes"),
             mounting_rpy_deg=imu.vector("mounting_rpy_deg"),
             lever_arm_m=imu.vector("lever_arm_m") or _NO_LEVER_ARM,
+            accel_full_scale_mps2=imu.number("accel_full_scale_mps2", above=0.0),
             noise=dict(imu.table("noise").values),
         ),
         gnss=GnssSetup(
@@ -106,6 +111,7 @@ def header_text(header: DriveHeader) -> str:
             "axes": header.imu.axes,
             "mounting_rpy_deg": header.imu.mounting_rpy_deg,
             "lever_arm_m": header.imu.lever_arm_m,
+            "accel_full_scale_mps2": header.imu.accel_full_scale_mps2,
         },
         "imu.noise": dict(header.imu.noise),
         "gnss": {"lever_arm_m": header.gnss.lever_arm_m, "time_offset_s": header.gnss.time_offset_s},

@@ -18,7 +18,11 @@ def drive_of(simulated: SimulatedDrive) -> Drive:
         start_t_ns=simulated.start_t_ns,
         vehicle_id=f"sim-{simulated.scenario.replace('_', '-')}-{simulated.truth['seed']}",
         measurements=simulated.measurements,
-        imu=ImuSetup(rate_hz=simulated.rate_hz, axes="sensor", mounting_rpy_deg=(roll, pitch, yaw)),
+        imu=ImuSetup(
+            rate_hz=simulated.rate_hz,
+            mounting_rpy_deg=(roll, pitch, yaw),
+            accel_full_scale_mps2=simulated.measurements.accel_full_scale_mps2,
+        ),
         gnss=GnssSetup(lever_arm_m=simulated.gnss_lever_arm_b_m),
         driver=Driver(age=32, sex="M"),
         reference=Reference(

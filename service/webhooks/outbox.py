@@ -97,8 +97,9 @@ def _store(connection: Connection, event: NewEvent, stored_ns: int) -> bool:
             body=dict(event.body),
         )
         .on_conflict_do_nothing(index_elements=["id"])
+        .returning(events.c.cursor)  # PostgreSQL's driver counts no rows here
     )
-    return stored.rowcount == 1
+    return stored.first() is not None
 
 
 def _deliver(connection: Connection, event_id: str, endpoint_ids: Sequence[str], now_ns: int) -> None:

@@ -51,7 +51,7 @@ class Received:
 class WebhookReceiver:
     """``with WebhookReceiver() as receiver``: collects requests; ``answers`` are used up first, then ``default``."""
 
-    def __init__(self, tls: ssl.SSLContext | None = None) -> None:
+    def __init__(self, tls: ssl.SSLContext | None = None, port: int = 0) -> None:
         self.default = Answer()
         self.answers: deque[Answer] = deque()
         self.requests: list[Received] = []
@@ -59,7 +59,7 @@ class WebhookReceiver:
         self.hung_up = threading.Event()
         """Set when a sender closed the connection on a dripping answer."""
         self._changed = threading.Condition()
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
+        self._server = ThreadingHTTPServer(("127.0.0.1", port), self._handler())
         self._server.daemon_threads = True
         self._scheme = "http"
         if tls is not None:

@@ -24,6 +24,7 @@ from service.engine.worker import Engine
 from service.errors import DatabaseError
 from service.ingest.journal import Journal
 from service.ingest.receiver import Receiver
+from service.ingest.zenoh import ZenohIngest
 from service.observability import Metrics
 from service.settings import Settings
 from service.storage import retention, schema
@@ -54,6 +55,7 @@ class Runtime:
     journal: Journal
     receiver: Receiver
     sender: Sender
+    zenoh: ZenohIngest
     _sending: asyncio.Task[None]
 
     def __init__(self, settings: Settings) -> None:
@@ -106,21 +108,25 @@ class Runtime:
                 gap_wait_s=settings.gap_wait_s,
             ),
             on_event=self._on_event,
-            on_state=self._on_state,
+            on_state=lambda ref, state: self.zenoh.publish_state(ref, state),
         )
         self.journal = Journal(
             self.database, self.engine.submit, metrics=self.metrics, gap_wait_ns=round(settings.gap_wait_s * 1e9)
         )
         self.receiver = Receiver(self.directory, self.journal, self.metrics, is_busy=lambda: self.engine.is_full)
+        self.zenoh = ZenohIngest(settings, self.receiver, self.metrics)
         await in_thread(warm_up)
         behind = await in_thread(self.engine.recover)
         if behind:
             logger.info("%d packets are fused again from the journal", behind)
         self.engine.start()
         at_stop(self.engine.stop)
-        at_stop(partial(self.engine.drain, DRAIN_S))
         for vehicle_pk in await in_thread(self._held_back):
             self.journal.watch(vehicle_pk)
+        await in_thread(self.zenoh.start)
+        at_stop(self.zenoh.stop)
+        at_stop(partial(self.engine.drain, DRAIN_S))
+        # Nothing is taken before this line, and nothing after its stop; what comes is refused to be sent again.
         self.journal.start()
         at_stop(self.journal.stop)
         pruning = asyncio.create_task(self._prune_for_ever(), name="retention")
@@ -148,9 +154,7 @@ class Runtime:
 
     def _on_event(self, ref: VehicleRef, event: Mapping[str, Any]) -> None:
         self.sender.notify()
-
-    def _on_state(self, ref: VehicleRef, state: Mapping[str, Any]) -> None:
-        pass
+        self.zenoh.publish_event(ref, event)
 
     async def _prune_for_ever(self) -> None:
         settings = self.settings

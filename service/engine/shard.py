@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Final, TypeVar
 
+from prometheus_client import Counter
 from sqlalchemy import Engine as Database
 from sqlalchemy.exc import InterfaceError, OperationalError
 
@@ -46,19 +47,17 @@ class EngineConfig:
     """What the engine may spend, and what it keeps.
 
     ``checkpoint_interval_s`` bounds what is computed again after a crash. ``track_interval_s``: which rows
-    of the track are kept. ``state_interval_s``: how often a vehicle's state is told at most. ``idle_s``: a
-    vehicle silent for so long gets a checkpoint and leaves memory. ``max_sessions`` and ``max_held_packets``
-    bound memory (about 50 kB and 4 kB each); beyond, the vehicle longest silent leaves, and packets are read
-    from the journal when it is their turn. ``packets_per_vehicle`` and ``packets_per_commit`` bound a
-    transaction, so that a vehicle that is far behind holds up no other. ``full_backlog``: packets waiting
-    at which receivers are to be told to wait.
+    of the track are kept. ``idle_s``: a vehicle silent for so long gets a checkpoint and leaves memory.
+    ``max_sessions`` and ``max_held_packets`` bound memory (about 50 kB and 4 kB each); beyond, the vehicle
+    longest silent leaves, and packets are read from the journal when it is their turn.
+    ``packets_per_vehicle`` and ``packets_per_commit`` bound a transaction, so that a vehicle that is far
+    behind holds up no other. ``full_backlog``: packets waiting at which receivers are to be told to wait.
     """
 
     workers: int = os.cpu_count() or 1
     checkpoint_interval_s: float = 30.0
     gap_wait_s: float = 10.0
     track_interval_s: float = 1.0
-    state_interval_s: float = 1.0
     idle_s: float = 60.0
     max_sessions: int = 20_000
     max_held_packets: int = 20_000
@@ -74,6 +73,7 @@ class Context:
     database: Database
     directory: VehicleDirectory
     metrics: Metrics
+    packets_fused: Counter
     config: EngineConfig
     session_factory: SessionFactory
     on_event: Tell
@@ -259,6 +259,7 @@ class Shard(threading.Thread):
 
     def _tell(self, effects: Effects, events: Sequence[NewEvent]) -> None:
         ref, metrics = effects.ref, self._context.metrics
+        self._context.packets_fused.inc(effects.packets)
         for name, count in effects.counts.items():
             aid, _, outcome = name.rpartition(".")
             if outcome != _USED:
@@ -267,12 +268,7 @@ class Shard(threading.Thread):
             if event.type == "accident.detected":
                 metrics.accidents_total.labels(severity=event.body["severity"]).inc()
             self._tell_one(self._context.on_event, ref, cloud_event(ref, event))
-        vehicle = self._vehicles.get(ref.pk)
-        now_ns = time.monotonic_ns()
-        if effects.latest is None or vehicle is None:
-            return
-        if now_ns - vehicle.told_ns >= self._config.state_interval_s * 1e9:
-            vehicle.told_ns = now_ns
+        if effects.latest is not None:
             self._tell_one(self._context.on_state, ref, fused_state(ref, effects.latest))
 
     def _tell_one(self, tell: Tell, ref: VehicleRef, message: Mapping[str, Any]) -> None:
@@ -310,7 +306,6 @@ class Shard(threading.Thread):
         self.quarantined[ref.pk] = f"{ref.tenant_id}/{ref.vehicle_id}: {type(error).__name__}: {error}"
         self.inbox.close(ref.pk)
         self._vehicles.pop(ref.pk, None)
-        self._context.metrics.session_rejections_total.labels(aid="session", outcome="quarantined").inc()
         logger.error(
             "vehicle %s of tenant %s is set aside: its session failed; its packets wait in the journal for a restart",
             ref.vehicle_id,

@@ -52,7 +52,6 @@ class Vehicle:
     ) -> None:
         self.ref = ref
         self.active_ns = now_ns
-        self.told_ns = 0
         if saved is None:
             self.journal_id = 0
             self._sequencer = Sequencer(gap_wait_ns)

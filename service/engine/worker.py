@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
+from prometheus_client import Counter, Gauge
 from sqlalchemy import Engine as Database
 
 from service.engine import checkpoints
@@ -53,9 +54,18 @@ class Engine:
     ) -> None:
         self._database = database
         self._config = config or EngineConfig()
-        context = Context(database, directory, metrics, self._config, session_factory, on_event, on_state)
+        fused = Counter(
+            "telefuse_packets_fused", "Packets that had their turn and are stored.", registry=metrics.registry
+        )
+        context = Context(database, directory, metrics, fused, self._config, session_factory, on_event, on_state)
         self._shards = [Shard(number, context) for number in range(self._config.workers)]
         metrics.engine_backlog.set_function(lambda: self.backlog)
+        quarantined = Gauge(
+            "telefuse_vehicles_quarantined",
+            "Vehicles set aside because their session failed; the log says why.",
+            registry=metrics.registry,
+        )
+        quarantined.set_function(lambda: len(self.health().quarantined))
         metrics.vehicles_active.set_function(lambda: sum(shard.sessions for shard in self._shards))
 
     def recover(self) -> int:

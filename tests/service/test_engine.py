@@ -114,6 +114,7 @@ class Bench:
             return insert_rows(connection, rows)
 
     def engine(self, factory: Callable[..., Any] = SummingFold, **config: Any) -> Engine:
+        self.metrics = Metrics()
         return Engine(
             self.database,
             self.directory,

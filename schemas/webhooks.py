@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, Field, StringConstraints
 
 from schemas.notifications import EventType
+from schemas.times import Time
 from schemas.vehicles import Model
 
 MAX_URL_LENGTH: Final = 2048
@@ -26,7 +26,7 @@ Url = Annotated[
     StringConstraints(strip_whitespace=True, min_length=1, max_length=MAX_URL_LENGTH),
     Field(description="Where messages are posted; https, a public host.", examples=["https://example.com/hooks"]),
 ]
-Description = Annotated[str, StringConstraints(max_length=MAX_DESCRIPTION_LENGTH)]
+Description = Annotated[str, StringConstraints(max_length=MAX_DESCRIPTION_LENGTH, pattern=r"^[^\x00]*$")]
 Types = Annotated[
     tuple[EventType, ...],
     Field(max_length=len(EventType), description="Event types to receive; empty for all of them."),
@@ -64,8 +64,8 @@ class Endpoint(Model):
     description: str
     types: tuple[str, ...] = Field(description="Event types that it receives; empty for all of them.")
     status: EndpointStatus
-    created_at: datetime
-    updated_at: datetime
+    created_at: Time
+    updated_at: Time
 
 
 class NewEndpoint(Endpoint):
@@ -84,22 +84,23 @@ class EndpointList(Model):
 class SecretRotation(Model):
     """How a secret is replaced."""
 
-    overlap_s: int = Field(
-        86400, ge=0, le=MAX_OVERLAP_S, description="Seconds that the secret in use goes on signing beside the new one."
-    )
+    overlap_s: Annotated[
+        int,
+        Field(ge=0, le=MAX_OVERLAP_S, description="Seconds that the secret in use goes on signing beside the new one."),
+    ] = 86400
 
 
 class RotatedSecret(Model):
     """The new secret of an endpoint."""
 
     secret: str = Field(description="Verifies the signatures. Keep it: it is not shown again.")
-    previous_valid_until: datetime = Field(description="Until then messages carry the old secret's signature, too.")
+    previous_valid_until: Time = Field(description="Until then messages carry the old secret's signature, too.")
 
 
 class DeliveryAttempt(Model):
     """One attempt; without status and error it is under way."""
 
-    started_at: datetime
+    started_at: Time
     duration_ms: float
     status_code: int | None
     error: str | None
@@ -115,9 +116,9 @@ class Delivery(Model):
         description="pending; delivered; dead: the last attempt failed, or 410; cancelled: its endpoint was disabled."
     )
     attempts: int = Field(description="Attempts since it was made, or last replayed.")
-    next_attempt_at: datetime | None
-    created_at: datetime
-    finished_at: datetime | None
+    next_attempt_at: Time | None
+    created_at: Time
+    finished_at: Time | None
     last_status_code: int | None
     last_error: str | None
     history: list[DeliveryAttempt] = Field(description="The newest attempts, oldest of them first.")

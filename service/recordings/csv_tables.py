@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from core.measurements import FloatArray, TimeArray
 from service.errors import RecordingError
@@ -65,14 +66,12 @@ def times_ns(t_s: FloatArray, start_t_ns: int) -> TimeArray:
     return start_t_ns + whole.astype(np.int64) * NS_PER_S + np.rint((t_s - whole) * NS_PER_S).astype(np.int64)
 
 
-def format_table(columns: Mapping[str, tuple[FloatArray, str]]) -> str:
+def format_table(columns: Mapping[str, tuple[npt.ArrayLike, str]]) -> str:
     """A table as CSV text: each column with its ``%`` format; NaN gives an empty cell."""
-    names = list(columns)
     template = ",".join(style for _, style in columns.values())
-    rows = np.column_stack([values for values, _ in columns.values()]) if names else np.empty((0, 0))
-    lines = [",".join(names), *(template % tuple(row) for row in rows.tolist())]
-    text = "\n".join(lines) + "\n"
-    return re.sub(r"(?<=[,\n])[ ]*nan(?=[,\n])", "", text)
+    rows = zip(*(np.asarray(values).tolist() for values, _ in columns.values()), strict=True)
+    lines = [",".join(columns), *(template % row for row in rows)]
+    return re.sub(r"(?<=[,\n])nan(?=[,\n])", "", "\n".join(lines) + "\n")
 
 
 def time_column(t_ns: TimeArray, start_t_ns: int) -> tuple[FloatArray, str]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from core.measurements import GNSS, GNSS_COLUMNS, FloatArray, Measurements, TimeArray
 from service.errors import RecordingError
@@ -162,7 +163,7 @@ def write_drive(folder: Path | str, drive: Drive) -> None:
 def _files(drive: Drive) -> dict[str, bytes]:
     m = drive.measurements
 
-    def table(t_ns: TimeArray, columns: Mapping[str, tuple[FloatArray, str]]) -> bytes:
+    def table(t_ns: TimeArray, columns: Mapping[str, tuple[npt.ArrayLike, str]]) -> bytes:
         return gzip_bytes(format_table({"t_s": time_column(t_ns, drive.start_t_ns), **columns}))
 
     header = DriveHeader(drive.name, drive.start_t_ns, drive.vehicle_id, drive.imu, drive.gnss, drive.driver)
@@ -190,9 +191,9 @@ def _files(drive: Drive) -> dict[str, bytes]:
     return files
 
 
-def _gnss_columns(drive: Drive) -> dict[str, tuple[FloatArray, str]]:
+def _gnss_columns(drive: Drive) -> dict[str, tuple[npt.ArrayLike, str]]:
     rows = drive.measurements.gnss
-    columns: dict[str, tuple[FloatArray, str]] = {}
+    columns: dict[str, tuple[npt.ArrayLike, str]] = {}
     for index, name in enumerate(GNSS_COLUMNS):
         values = rows[:, index]
         if name == "alt_m":
@@ -205,7 +206,7 @@ def _gnss_columns(drive: Drive) -> dict[str, tuple[FloatArray, str]]:
     return columns
 
 
-def _reference_columns(reference: Reference) -> dict[str, tuple[FloatArray, str]]:
+def _reference_columns(reference: Reference) -> dict[str, tuple[npt.ArrayLike, str]]:
     rpy_deg = np.degrees(reference.rpy_rad)
     return {
         "lat_deg": (np.degrees(reference.lat_rad), "%.10f"),

@@ -40,6 +40,12 @@ _NEEDED: Final = [TRACK[name] for name in ("lat_rad", "lon_rad", "alt_m", "vn_mp
     TRACK[name] for name in ("sd_n_m", "sd_e_m", "sd_d_m", "cov_ne_m2")
 ]
 
+_REVISED: Final = [
+    column.name
+    for column in accidents.c
+    if column.name not in ("id", "tenant_id", "vehicle_pk", "trip_id", "t_ns", "status", "received_ns", "stored_ns")
+]
+
 
 def stable_id(ref: VehicleRef, t_ns: int, kind: str) -> str:
     """The id of what happened to a vehicle at a time; the same whenever it is computed."""
@@ -188,20 +194,24 @@ class Effects:
             "speed_before_mps": _finite_or_none(impact.speed_before_mps),
             "paper_agrees": impact.paper_agrees,
         }
+        insert = insert_into(connection, accidents).values(
+            id=accident_id,
+            tenant_id=self.ref.tenant_id,
+            vehicle_pk=self.ref.pk,
+            decided_t_ns=impact.decided_t_ns,
+            received_ns=received_ns,
+            stored_ns=stored_ns,
+            mode=int(accident.mode),
+            detail=felt | {"delta_v_b_mps": list(impact.delta_v_b_mps)},
+            **shared,
+        )
+        # Told again with a later, worse impact, it takes the place of what was known; never the other way round.
         connection.execute(
-            insert_into(connection, accidents)
-            .values(
-                id=accident_id,
-                tenant_id=self.ref.tenant_id,
-                vehicle_pk=self.ref.pk,
-                decided_t_ns=impact.decided_t_ns,
-                received_ns=received_ns,
-                stored_ns=stored_ns,
-                mode=int(accident.mode),
-                detail=felt | {"delta_v_b_mps": list(impact.delta_v_b_mps)},
-                **shared,
+            insert.on_conflict_do_update(
+                index_elements=[accidents.c.id],
+                set_={name: insert.excluded[name] for name in _REVISED},
+                where=accidents.c.decided_t_ns < insert.excluded.decided_t_ns,
             )
-            .on_conflict_do_nothing()
         )
         body = AccidentBody(
             accident_id=accident_id,
@@ -210,7 +220,10 @@ class Effects:
             **shared,
             **felt,
         )
-        return self._event(EventType.ACCIDENT_DETECTED, accident_id, impact.t_ns, received_ns, body)
+        if impact.revision == 0:
+            return self._event(EventType.ACCIDENT_DETECTED, accident_id, impact.t_ns, received_ns, body)
+        about = f"{accident_id}/{impact.revision}"
+        return self._event(EventType.ACCIDENT_UPDATED, about, impact.t_ns, received_ns, body)
 
     def _trip_completed(self, trip: Trip, received_ns: int) -> NewEvent:
         body = TripBody(

@@ -33,6 +33,7 @@ from service.storage.vehicles import VehicleDirectory, VehicleRef
 START_NS = 1_750_000_000_000_000_000
 SECOND_NS = 1_000_000_000
 CRASH_MPS2 = 100.0
+WORSE_MPS2 = 150.0
 POISON_MPS2 = 666.0
 WAIT_S = 20.0
 
@@ -41,11 +42,13 @@ class SummingFold:
     """A position that depends on every packet so far and on their order; a crash where a sample is large."""
 
     def __init__(self, config: VehicleConfig, snapshot: bytes | None) -> None:
-        state = {"sum": 0.0, "packets": 0, "start": 0} if snapshot is None else json.loads(snapshot)
-        self.config, self.sum, self.packets, self.start = config, state["sum"], state["packets"], state["start"]
+        state = {"sum": 0.0, "packets": 0, "start": 0, "crashed": 0} if snapshot is None else json.loads(snapshot)
+        self.config, self.sum, self.packets = config, state["sum"], state["packets"]
+        self.start, self.crashed = state["start"], state["crashed"]
 
     def snapshot(self) -> bytes:
-        return json.dumps({"sum": self.sum, "packets": self.packets, "start": self.start}).encode()
+        names = ("sum", "packets", "start", "crashed")
+        return json.dumps({name: getattr(self, name) for name in names}).encode()
 
     def step(self, measurements: Measurements) -> Outputs:
         value = float(measurements.f_s[0, 0])
@@ -60,14 +63,18 @@ class SummingFold:
         rows[:, TRACK["lat_rad"]] = 1e-6 * self.sum
         rows[:, TRACK["yaw_rad"]] = np.nan
         rows[:, TRACK["mode"]] = Mode.AIDED
-        crash = (self._crash(t_ns),) if abs(value - CRASH_MPS2) < 0.5 else ()
+        crash: tuple[Accident, ...] = ()
+        if abs(value - CRASH_MPS2) < 0.5:
+            crash, self.crashed = (self._crash(t_ns, 0),), t_ns
+        elif abs(value - WORSE_MPS2) < 0.5:
+            crash = (self._crash(self.crashed, 1),)
         trip = Trip(self.start, t_ns, 0.0, 0.0, 0.0, 0.0, self.sum, 1.0, 0.0, 1.0, ended=self.packets == 12)
         return Outputs(Track(grid, rows), crash, (trip,), {"gnss_position.rejected_gate": 1, "gnss_position.fused": 2})
 
-    def _crash(self, t_ns: int) -> Accident:
+    def _crash(self, t_ns: int, revision: int) -> Accident:
         impact = Impact(
             t_ns,
-            t_ns + SECOND_NS,
+            t_ns + (1 + revision) * SECOND_NS,
             "fold",
             Severity.SEVERE,
             0.9,
@@ -80,6 +87,7 @@ class SummingFold:
             True,
             np.nan,
             False,
+            revision,
         )
         return Accident(impact, 1e-6 * self.sum, 0.0, 5.0, 1.0, 2.0, 0.1, np.nan, Mode.COASTING)
 
@@ -223,6 +231,25 @@ def test_a_killed_engine_repeats_work_and_no_effect(bench: Bench, tmp_path: Path
     assert killed.stored() == bench.stored()
     assert len({event["id"] for _, event in killed.told}) == len(killed.told) == 2
     killed.database.dispose()
+
+
+@pytest.mark.parametrize("kept", [7, 9, 12])
+def test_an_accident_that_turns_out_worse_is_told_again_and_keeps_its_place(bench: Bench, kept: int) -> None:
+    ref = bench.vehicle("car-1")
+    packets = [(r, n, WORSE_MPS2 if n == 9 else value) for r, n, value in drive(ref)]
+    entries = bench.journal(*packets)
+    first = bench.engine(checkpoint_interval_s=3600.0)
+    first.start()
+    first.submit(entries[:kept])
+    assert first.drain(WAIT_S)
+    with write(bench.database) as connection:  # as if it had been killed before the accident's own checkpoint
+        connection.execute(checkpoints.delete())
+    run(bench, [])
+    (accident,) = bench.stored()["accidents"]
+    assert START_NS + (7 + 2) * SECOND_NS in accident, "decided by the later impact"
+    assert [event["type"] for _, event in bench.told].count("accident.detected") == 1
+    updates = [event for _, event in bench.told if event["type"] == "accident.updated"]
+    assert [update["data"]["accident_id"] for update in updates] == [accident[0]]
 
 
 def test_recovery_comes_before_what_is_submitted_after_it(bench: Bench, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from schemas.geojson import GEOJSON_MEDIA_TYPE
 from schemas.notifications import rfc3339
 from schemas.vehicles import VehicleId
 from service.api.conditional import answer
-from service.api.dependencies import Database
+from service.api.dependencies import ID_PATTERN, Database
 from service.api.pagination import Page, encode_cursor, link_next
 from service.api.security import Principal, require
 from service.api.times import interval_ns
@@ -97,7 +97,7 @@ def list_accidents(
 )
 def get_accident(
     request: Request,
-    accident_id: Annotated[str, Path(max_length=36, description="The accident's id.")],
+    accident_id: Annotated[str, Path(pattern=ID_PATTERN, description="The accident's id.")],
     caller: Reader,
     engine: Database,
 ) -> Response:

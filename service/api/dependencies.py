@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Final
 
 from fastapi import Depends, Path, Request
 from sqlalchemy import Connection, Engine
@@ -27,6 +27,9 @@ def directory(request: Request) -> VehicleDirectory:
 
 Database = Annotated[Engine, Depends(database)]
 Directory = Annotated[VehicleDirectory, Depends(directory)]
+ID_PATTERN: Final = r"^[A-Za-z0-9-]{1,36}$"
+"""Ids that the service gives out."""
+
 VehiclePath = Annotated[VehicleId, Path(description="The vehicle's id.", examples=["WVWZZZ1KZAW000001"])]
 
 

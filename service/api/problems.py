@@ -75,7 +75,7 @@ def _foreign_problem(request: Request, error: Exception) -> Response:
             if status >= 500:
                 log.error("%s", error, extra={"fields": {"request_id": request.scope["state"].get("request_id")}})
             return problem_response(request.scope, status, code, detail or str(error))
-    return _unexpected_problem(request, error)
+    raise error
 
 
 def _http_problem(request: Request, error: Exception) -> Response:
@@ -106,18 +106,11 @@ def _location(parts: tuple[object, ...]) -> str:
     return ".".join(str(part) for part in parts)
 
 
-def _unexpected_problem(request: Request, error: Exception) -> Response:
-    # The traceback is logged by the server, which gets the exception after the caller has this answer.
-    detail = "something went wrong on our side; quote the request_id to the operator"
-    return problem_response(request.scope, 500, "internal_error", detail)
-
-
 def install(app: FastAPI) -> None:
-    """Have every error of the app answered by a problem document."""
+    """Have errors answered by problem documents; what is not named here is ``middleware.RequestContext``'s."""
     app.add_exception_handler(ServiceError, service_problem)
     app.add_exception_handler(CoreError, _foreign_problem)
     for kind in FOREIGN_ERRORS:
         app.add_exception_handler(kind, _foreign_problem)
     app.add_exception_handler(RequestValidationError, _validation_problem)
     app.add_exception_handler(HTTPException, _http_problem)
-    app.add_exception_handler(Exception, _unexpected_problem)

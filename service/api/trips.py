@@ -13,7 +13,7 @@ from schemas.geojson import GEOJSON_MEDIA_TYPE
 from schemas.notifications import rfc3339
 from schemas.trips import Place, TrackCollection, Trip, TripList
 from service.api.conditional import answer
-from service.api.dependencies import Database, VehiclePath, the_vehicle
+from service.api.dependencies import ID_PATTERN, Database, VehiclePath, the_vehicle
 from service.api.pagination import Page, encode_cursor, link_next
 from service.api.security import Principal, require
 from service.api.times import FromTime, ToTime, time_ns
@@ -27,7 +27,7 @@ router = APIRouter(tags=["trips"])
 
 Reader = Annotated[Principal, Depends(require("vehicles:read"))]
 PositionReader = Annotated[Principal, Depends(require("positions:read"))]
-TripPath = Annotated[str, Path(max_length=36, description="The trip's id.")]
+TripPath = Annotated[str, Path(pattern=ID_PATTERN, description="The trip's id.")]
 
 
 @router.get("/vehicles/{vehicle_id}/trips", response_model=TripList)

@@ -43,8 +43,9 @@ def begin(connection: Connection, tenant_id: str, key: str, request_sha256: str)
             created_ns=time.time_ns(),
         )
         .on_conflict_do_nothing()
+        .returning(idempotency_keys.c.key)
     )
-    if taken.rowcount == 1:
+    if taken.first() is not None:
         return None
     row = connection.execute(
         select(

@@ -56,7 +56,7 @@ def lookup(connection: Connection, token: str) -> ApiKey | None:
     """The key with this text, valid or not."""
     prefix, _, rest = token.partition("_")
     key_id = rest.partition("_")[0]
-    if prefix != "tf" or not key_id:
+    if prefix != "tf" or not (key_id.isascii() and key_id.isalnum()):
         return None
     row = connection.execute(select(api_keys).where(api_keys.c.id == key_id)).one_or_none()
     if row is None or not secrets.compare_digest(row.key_sha256, _hash(token)):

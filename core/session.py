@@ -16,7 +16,7 @@ from core.accident.paper_rule import PaperRule
 from core.accident.thresholds import DetectorThresholds, PaperThresholds
 from core.driving.trips import Trip, TripThresholds, TripTracker
 from core.earth import gravity_mps2, radii_m
-from core.measurements import FloatArray, Measurements, TimeArray
+from core.measurements import Measurements
 from core.navigation import state
 from core.navigation.filter import Aids, FilterConfig, NavigationFilter, Series
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
@@ -131,8 +131,9 @@ class Session:
                 gravity_mps2=self._gravity_mps2(),
             )
         )
-        self._remember(fused.track)
-        accidents = tuple(self._place(impact) for impact in impacts)
+        rows = _joined(self._recent, fused.track)
+        accidents = tuple(_place(impact, rows) for impact in impacts)
+        self._recent = _newest(rows, RECENT_S)
         trips = tuple(self._trips.step(fused.track, measurements.ignition))
         self._add_counts(self._filter.counts - before, counts)
         return Outputs(fused.track, accidents, trips, counts)
@@ -184,43 +185,6 @@ class Session:
             return DEFAULT_GRAVITY_MPS2
         return gravity_mps2(math.radians(round(math.degrees(x[state.X_LAT]))), 0.0)
 
-    def _remember(self, track: Track) -> None:
-        if not len(track.t_ns):
-            return
-        t_ns = np.concatenate([self._recent.t_ns, track.t_ns])
-        rows = np.concatenate([self._recent.values, track.values])
-        kept = t_ns >= t_ns[-1] - int(RECENT_S * 1e9)
-        self._recent = Track(t_ns[kept], rows[kept])
-
-    def _place(self, impact: Impact) -> Accident:
-        """Where the vehicle was when the impact began: the row before it, carried on by its velocity."""
-        t_ns, rows = self._recent.t_ns, self._recent.values
-        if not len(t_ns):
-            nan = math.nan
-            return Accident(impact, nan, nan, nan, nan, nan, nan, nan, Mode.ALIGNING)
-        row = rows[max(int(np.searchsorted(t_ns, impact.t_ns, side="right")) - 1, 0)]
-        ahead_s = (impact.t_ns - int(t_ns[max(int(np.searchsorted(t_ns, impact.t_ns, side="right")) - 1, 0)])) * 1e-9
-
-        def value(name: str) -> float:
-            return float(row[TRACK[name]])
-
-        def moved(name: str) -> float:
-            speed = value(name)
-            return speed * ahead_s if math.isfinite(speed) else 0.0
-
-        meridian, transverse = radii_m(value("lat_rad"))
-        return Accident(
-            impact=impact,
-            lat_rad=value("lat_rad") + moved("vn_mps") / meridian,
-            lon_rad=value("lon_rad") + moved("ve_mps") / (transverse * math.cos(value("lat_rad"))),
-            alt_m=value("alt_m") - moved("vd_mps"),
-            sd_n_m=value("sd_n_m"),
-            sd_e_m=value("sd_e_m"),
-            cov_ne_m2=value("cov_ne_m2"),
-            heading_rad=value("yaw_rad"),
-            mode=Mode(int(value("mode"))),
-        )
-
     @staticmethod
     def _add_counts(table: npt.NDArray[np.int64], counts: dict[str, int]) -> None:
         for aid, outcome in zip(*np.nonzero(table), strict=True):
@@ -228,4 +192,39 @@ class Session:
             counts[name] = counts.get(name, 0) + int(table[aid, outcome])
 
 
-__all__ = ["Accident", "FloatArray", "Mounting", "Outputs", "Session", "SessionConfig", "TimeArray"]
+def _joined(before: Track, after: Track) -> Track:
+    if not len(after.t_ns):
+        return before
+    return Track(np.concatenate([before.t_ns, after.t_ns]), np.concatenate([before.values, after.values]))
+
+
+def _newest(track: Track, span_s: float) -> Track:
+    if not len(track.t_ns):
+        return track
+    kept = track.t_ns >= track.t_ns[-1] - int(span_s * 1e9)
+    return Track(track.t_ns[kept], track.values[kept])
+
+
+def _place(impact: Impact, track: Track) -> Accident:
+    """Where the vehicle was when the impact began: the row before it, carried on by its velocity."""
+    if not len(track.t_ns):
+        nan = math.nan
+        return Accident(impact, nan, nan, nan, nan, nan, nan, nan, Mode.ALIGNING)
+    at = max(int(np.searchsorted(track.t_ns, impact.t_ns, side="right")) - 1, 0)
+    row = {name: float(track.values[at, index]) for name, index in TRACK.items()}
+    ahead_s = (impact.t_ns - int(track.t_ns[at])) * 1e-9
+    north_m, east_m, down_m = (
+        row[name] * ahead_s if math.isfinite(row[name]) else 0.0 for name in ("vn_mps", "ve_mps", "vd_mps")
+    )
+    meridian, transverse = radii_m(row["lat_rad"])
+    return Accident(
+        impact=impact,
+        lat_rad=row["lat_rad"] + north_m / meridian,
+        lon_rad=row["lon_rad"] + east_m / (transverse * math.cos(row["lat_rad"])),
+        alt_m=row["alt_m"] - down_m,
+        sd_n_m=row["sd_n_m"],
+        sd_e_m=row["sd_e_m"],
+        cov_ne_m2=row["cov_ne_m2"],
+        heading_rad=row["yaw_rad"],
+        mode=Mode(int(row["mode"])),
+    )

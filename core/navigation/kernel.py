@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from core.earth import radii_m
+from core.earth import STANDARD_GRAVITY_MPS2, radii_m
 from core.measurements import FloatArray, TimeArray
 from core.navigation.aiding import (
     fuse_non_holonomic,
@@ -88,6 +88,7 @@ _SCALE_WALK = PARAMETER["speed_scale_walk_rts"]
 _MOUNT_WALK = PARAMETER["mount_angle_walk_rad_rts"]
 _STILL_ACCEL = PARAMETER["still_accel_sd_mps2"]
 _STILL_GYRO = PARAMETER["still_gyro_sd_radps"]
+_STILL_MEAN = PARAMETER["still_mean_accel_mps2"]
 _STILL_SPEED = PARAMETER["still_max_speed_mps"]
 _CONSTRAINT_S = PARAMETER["constraint_interval_s"]
 _COVARIANCE_S = PARAMETER["covariance_interval_s"]
@@ -185,6 +186,7 @@ def _close_block(x: FloatArray, ti: TimeArray, p: FloatArray, ring: FloatArray, 
     if x[X_V] ** 2 + x[X_V + 1] ** 2 > limit * limit:
         return
     spread_f, spread_w = 0.0, 0.0
+    mean_0, mean_1, mean_2 = 0.0, 0.0, 0.0
     for i in range(6):
         total, squares = 0.0, 0.0
         first = ring[i]
@@ -193,11 +195,27 @@ def _close_block(x: FloatArray, ti: TimeArray, p: FloatArray, ring: FloatArray, 
             total += d
             squares += d * d
         variance = squares / N_BLOCKS - (total / N_BLOCKS) ** 2
+        if i == 0:
+            mean_0 = first + total / N_BLOCKS
+        elif i == 1:
+            mean_1 = first + total / N_BLOCKS
+        elif i == 2:
+            mean_2 = first + total / N_BLOCKS
         if i < 3:
             spread_f += variance
         else:
             spread_w += variance
-    if spread_f <= par[_STILL_ACCEL] ** 2 and spread_w <= par[_STILL_GYRO] ** 2:
+    if spread_f > par[_STILL_ACCEL] ** 2 or spread_w > par[_STILL_GYRO] ** 2:
+        return
+    # Pulling away evenly is smooth too: what gravity and bias leave must be nothing.
+    mean = (mean_0 - x[X_BA], mean_1 - x[X_BA + 1], mean_2 - x[X_BA + 2])
+    c0, c1, c2, c3, c4, c5, _, _, _ = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
+    an = c0 * mean[0] + c1 * mean[1] + c2 * mean[2]
+    ae = c3 * mean[0] + c4 * mean[1] + c5 * mean[2]
+    i0 = ATT * N_STATES + ATT
+    tilt = math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
+    limit = par[_STILL_MEAN] + 3.0 * STANDARD_GRAVITY_MPS2 * tilt
+    if an * an + ae * ae <= limit * limit:
         ti[I_STATIONARY] = 1
 
 

@@ -113,8 +113,11 @@ class Tuning(Tunables):
         high=0.2,
         source="sd of ten 0.1 s means: standing 0.0006-0.003, driving above 0.007 on the three drives",
     )
+    still_mean_accel_mps2: float = tunable(
+        0.2, unit="m/s2", low=0.01, high=2, source="beyond tilt error: a car pulls away with 0.5 m/s2 and more"
+    )
     still_max_speed_mps: float = tunable(
-        1.0, unit="m/s", low=0.1, high=10, source="a smooth road at speed is no standstill"
+        0.5, unit="m/s", low=0.1, high=10, source="a smooth road at speed is no standstill"
     )
 
     covariance_interval_s: float = tunable(

@@ -16,6 +16,7 @@ from core.accident.level import A_X, A_Y, GAP, SPEED, V_X, V_Y, Flags, LevelMoti
 from core.accident.pulse import read_pulse, unclip
 from core.accident.severity import classify, confidence, force_direction_deg
 from core.accident.thresholds import DetectorThresholds
+from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FloatArray, TimeArray
 
 NAME: Final = "telefuse"
@@ -91,17 +92,18 @@ class ImpactDetector:
         if pulse.retained < limits.retained:
             return None
         delta_v, duration_s = math.hypot(pulse.forward_mps, pulse.right_mps), pulse.duration_s
+        if not delta_v > limits.vertical_ratio * pulse.vertical_mps:
+            return None
         forward, right = pulse.forward_mps / delta_v, pulse.right_mps / delta_v
         tilt_sd = limits.blind_tilt_sd_rad if pulse.levelled else limits.tilt_sd_rad
-        sd = math.hypot(math.hypot(limits.scale_sd * delta_v, tilt_sd * 9.81 * duration_s), limits.noise_sd_mps)
+        tilt_sd_mps = tilt_sd * STANDARD_GRAVITY_MPS2 * duration_s
+        sd = math.sqrt((limits.scale_sd * delta_v) ** 2 + tilt_sd_mps**2 + limits.noise_sd_mps**2)
         clipped = pulse.clipped_s > 0.0
         if clipped:
             whole = unclip(t_ns, x, flags, pulse)
             delta_v, duration_s, sd = whole.delta_v_mps, whole.duration_s, math.hypot(sd, whole.sd_mps)
         excess = delta_v - limits.tyre_mps2 * duration_s
-        if delta_v < limits.vertical_ratio * pulse.vertical_mps:
-            return None
-        if clipped and excess < limits.margin_mps:
+        if clipped and excess - limits.clipped_sds * sd < limits.margin_mps:
             return None
 
         severity = classify(delta_v, duration_s, limits.severity)

@@ -154,7 +154,7 @@ def _extend(
                 ex = dx + step * (dy * r - dz * q) - pull * (fx + force * dx)
                 ey = dy + step * (dz * p - dx * r) - pull * (fy + force * dy)
                 ez = dz + step * (dx * q - dy * p) - pull * (fz + force * dz)
-                norm = math.sqrt(ex * ex + ey * ey + ez * ez)
+                norm = max(math.sqrt(ex * ex + ey * ey + ez * ez), 1e-9)
                 dx, dy, dz = ex / norm, ey / norm, ez / norm
         down[0], down[1], down[2] = dx, dy, dz
 

@@ -43,14 +43,27 @@ PULSE_LOG_SD: Final = 0.35
 MISFIT: Final = 0.3
 """How far a real pulse's flank strays from these shapes, of the level it clips at: structures ring. A choice, after
 NHTSA test 10146, whose flank at 2, 4 and 16 g leads and lags them by so much."""
+MISFIT_S: Final = 0.005
+"""How long such a stray lasts, s: samples closer together share one. A choice, after the same test."""
 DELTA_V_MEDIAN_MPS: Final = 5.6
 DELTA_V_LOG_SD: Final = 0.9
 """Changes of velocity that collisions bring, m/s, as a log-normal prior: two thirds between 2.3 and 14 m/s. A choice:
 about 20 km/h is usual where a car had to be towed, and few exceed 60 km/h."""
+SHORTEST_S: Final = 0.02
+LONGEST_S: Final = 0.4
+"""Lengths that the grid spans, s: wider than the prior by four of its sds. A choice."""
+STRONGEST: Final = 20.0
+"""Amplitudes that the grid spans, from one to so many levels of clipping: 40 g for 2 g. A choice."""
 LENGTHS: Final = 40
 STARTS: Final = 16
 AMPLITUDES: Final = 40
-"""Nodes of the grid over length (20-400 ms), start (one flank's room) and amplitude (1-20 clip levels)."""
+"""Nodes of the grid over length, start (within the first flank's room) and amplitude."""
+
+
+@njit(cache=True, nogil=True)
+def _along(x: FloatArray, row: int, ux: float, uy: float) -> float:
+    """Acceleration along a horizontal direction of the level frame, times the length of (ux, uy), m/s2."""
+    return float(x[row, A_X] * ux + x[row, A_Y] * uy)
 
 
 @njit(cache=True, nogil=True)
@@ -115,20 +128,15 @@ def measure(
         dvz += 0.5 * dt * (x[k, A_Z] + x[k - 1, A_Z])
         largest_z = max(largest_z, abs(dvz))
         largest = max(largest, math.hypot(x[k, V_X] - x[first, V_X], x[k, V_Y] - x[first, V_Y]))
-        if flags[k] & CLIPPED:
-            clipped_s += dt
         if flags[k] & LEVELLED:
             levelled = True
+    for k in range(first + 1, last + 1):
+        if flags[k] & CLIPPED and _along(x, k, dvx, dvy) > 0.0:
+            clipped_s += (t_ns[k] - t_ns[k - 1]) * 1e-9
     for k in range(last + 1, end + 1):  # what was given back after, by a shock's swing
         largest = max(largest, math.hypot(x[k, V_X] - x[first, V_X], x[k, V_Y] - x[first, V_Y]))
     kept = math.hypot(x[end, V_X] - x[first, V_X], x[end, V_Y] - x[first, V_Y]) / max(largest, 1e-9)
     return first, last, dvx, dvy, largest_z, kept, peak, clipped_s, levelled
-
-
-@njit(cache=True, nogil=True)
-def _along(x: FloatArray, row: int, ux: float, uy: float) -> float:
-    """Acceleration along a horizontal direction of the level frame, m/s2."""
-    return float(x[row, A_X] * ux + x[row, A_Y] * uy)
 
 
 @njit(cache=True, nogil=True)
@@ -142,7 +150,7 @@ def fit_clipped(
     that it was at least so much. A is uniform in its logarithm, T and the change of
     velocity A T / 2 have the priors above.
     """
-    level, run = 0.0, first
+    level, run = 1.0, first
     clip_first, clip_last = first, first  # the longest run of clipped samples that push the pulse's own way
     for k in range(first, last + 1):
         if not flags[k] & CLIPPED or _along(x, k, ux, uy) <= 0.0:
@@ -165,13 +173,16 @@ def fit_clipped(
         value[k] = _along(x, begin + k, ux, uy)
         if k > 0 and flags[begin + k] & CLIPPED:
             hidden_s += time[k] - time[k - 1]
-    room = max(-time[0], 1e-3) + 0.5 * (time[1] - time[0])
+    spacing_s = (t_ns[last] - t_ns[first]) * 1e-9 / max(last - first, 1)
+    weight_of_one = min(1.0, spacing_s / MISFIT_S)
+    room = max(-time[0], 1e-3) + 0.5 * spacing_s
+    longest = max(LONGEST_S, 2.0 * clipped_s)
 
     best = math.inf
     for stage in range(2):  # first the smallest cost, then the sums, so that exp() never overflows
         total = sum_v = sum_vv = sum_t = 0.0
         for i in range(LENGTHS):
-            length = 0.02 * 20.0 ** (i / (LENGTHS - 1))
+            length = SHORTEST_S * (longest / SHORTEST_S) ** (i / (LENGTHS - 1))
             if length < clipped_s:
                 continue
             prior = (math.log(length / PULSE_MEDIAN_S) / PULSE_LOG_SD) ** 2
@@ -183,13 +194,13 @@ def fit_clipped(
                         shape[k] = math.sin(math.pi * phase) ** power if 0.0 < phase < 1.0 else 0.0
                     area = 2.0 / math.pi if power == 1 else 0.5
                     for m in range(AMPLITUDES):
-                        amplitude = level * 20.0 ** (m / (AMPLITUDES - 1))
+                        amplitude = level * STRONGEST ** (m / (AMPLITUDES - 1))
                         delta_v = area * amplitude * length
                         cost = prior + (math.log(delta_v / DELTA_V_MEDIAN_MPS) / DELTA_V_LOG_SD) ** 2
                         for k in range(n):
                             off = value[k] - amplitude * shape[k]
                             if off > 0.0 or not flags[begin + k] & CLIPPED:
-                                cost += (off / (MISFIT * level)) ** 2
+                                cost += weight_of_one * (off / (MISFIT * level)) ** 2
                         if stage == 0:
                             best = min(best, cost)
                         else:

@@ -138,6 +138,13 @@ class DetectorThresholds(Tunables):
     retained: float = tunable(
         0.5, unit="1", low=0.0, high=1.0, source="choice: a shock that gives back over half its change was no impact"
     )
+    clipped_sds: float = tunable(
+        0.7,
+        unit="1",
+        low=0.0,
+        high=5.0,
+        source="choice: what clipping hid must make the impact likely by three to one; a kerb at 2 g does not",
+    )
     vertical_ratio: float = tunable(
         0.7,
         unit="1",

@@ -1,0 +1,243 @@
+"""The accident detector as timelines: given what the box felt, which impacts are told, how hard and from where."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from core.accident.detector import ImpactDetector
+from core.accident.events import Severity, VehicleMotion
+from core.accident.severity import classify, confidence, force_direction_deg
+from core.accident.thresholds import DetectorThresholds, SeverityThresholds
+from core.errors import InvalidInputError
+
+G = 9.80665
+EPOCH_NS = 1_700_000_000_000_000_000
+RATE_HZ = 200.0
+IMPACT_S = 3.0
+
+
+def drive(*pulses, seconds=8.0, speed_mps=12.0, full_scale_g=math.inf, attitude=True, noise=0.1, rate_hz=RATE_HZ):
+    """Motion on a level road with pulses (start_s, dv_forward, dv_right, dv_down, length_s), each a haversine."""
+    rng = np.random.default_rng(3)
+    t_s = np.arange(0.0, seconds, 1.0 / rate_hz)
+    f_b = np.array([0.0, 0.0, -G]) + rng.normal(0.0, noise, (len(t_s), 3))
+    for start_s, *delta_v, length_s in pulses:
+        f_b += np.outer(haversine(t_s - start_s, length_s), delta_v)
+    limit = full_scale_g * G
+    saturated = (np.abs(f_b) >= limit).any(axis=1).astype(np.uint8)
+    level = np.tile([0.0, 0.0, 1.0], (len(t_s), 1))
+    return VehicleMotion(
+        t_ns=EPOCH_NS + np.round(t_s * 1e9).astype(np.int64),
+        f_b=np.clip(f_b, -limit, limit),
+        omega_b=rng.normal(0.0, 0.003, (len(t_s), 3)),
+        down_b=level if attitude else np.full_like(level, np.nan),
+        speed_mps=np.full(len(t_s), speed_mps),
+        saturated=saturated,
+        gravity_mps2=G,
+    )
+
+
+def haversine(since_s, length_s):
+    """Pulse of unit area, 1/s."""
+    phase = since_s / length_s
+    return np.where((phase > 0) & (phase < 1), 2.0 / length_s * np.sin(np.pi * phase) ** 2, 0.0)
+
+
+def find(motion, thresholds=None):
+    return ImpactDetector(thresholds).step(motion)
+
+
+def test_a_frontal_crash_is_told_with_its_change_of_velocity_direction_and_time():
+    (impact,) = find(drive((IMPACT_S, -9.0, 0.0, 0.0, 0.12)))
+    assert impact.delta_v_mps == pytest.approx(9.0, abs=0.15)  # noise integrated over the pulse, and its far ends
+    assert impact.delta_v_b_mps[0] == pytest.approx(-9.0, abs=0.15)
+    assert impact.pdof_deg == pytest.approx(0.0, abs=2.0) or impact.pdof_deg == pytest.approx(360.0, abs=2.0)
+    assert (impact.t_ns - EPOCH_NS) * 1e-9 == pytest.approx(IMPACT_S, abs=0.02)  # below 2 m/s2 for its first 10 ms
+    assert impact.peak_mps2 == pytest.approx(150.0, rel=0.02)
+    assert impact.duration_s == pytest.approx(0.12, abs=0.03)
+    assert impact.speed_before_mps == 12.0
+    assert impact.severity is Severity.AIRBAG
+    assert not impact.clipped
+    assert impact.confidence > 0.95
+    assert impact.detector == "telefuse"
+
+
+@pytest.mark.parametrize(
+    ("from_deg", "dv"), [(0, (-4, 0)), (90, (0, -4)), (180, (4, 0)), (270, (0, 4)), (45, (-3, -3))]
+)
+def test_direction_of_force_is_where_it_came_from(from_deg, dv):
+    (impact,) = find(drive((IMPACT_S, *dv, 0.0, 0.1)))
+    assert math.remainder(impact.pdof_deg - from_deg, 360.0) == pytest.approx(0.0, abs=3.0)
+
+
+@pytest.mark.parametrize("attitude", [True, False])
+@pytest.mark.parametrize("speed_mps", [0.0, 3.5, 15.0, math.nan])
+@pytest.mark.parametrize("length_s", [0.08, 0.1, 0.15])
+def test_a_low_speed_crash_is_found_moving_standing_and_without_attitude(attitude, speed_mps, length_s):
+    (impact,) = find(drive((IMPACT_S, 3.0, 0.5, 0.0, length_s), speed_mps=speed_mps, attitude=attitude))
+    assert impact.severity is Severity.LOW_SPEED
+    # Without attitude the vertical turns towards the pulse for its length, by a few degrees at most.
+    assert impact.delta_v_mps == pytest.approx(math.hypot(3.0, 0.5), abs=0.15 if attitude else 0.4)
+
+
+def test_a_decision_falls_within_half_a_second_of_the_impact():
+    for length_s in (0.06, 0.1, 0.2, 0.3):
+        (impact,) = find(drive((IMPACT_S, -10.0, 0.0, 0.0, length_s)))
+        assert 0 < impact.decided_t_ns - (EPOCH_NS + IMPACT_S * 1e9) < 0.5e9
+
+
+def test_a_slow_severe_change_within_a_second_is_found_and_is_no_airbag_case():
+    (impact,) = find(drive((IMPACT_S, -14.0, 0.0, 0.0, 1.0), speed_mps=20.0))
+    assert impact.severity is Severity.SEVERE
+    assert impact.decided_t_ns - impact.t_ns < 1.0e9
+
+
+@pytest.mark.parametrize("delta_v", [2.5, 4.0, 6.0, 9.0])
+@pytest.mark.parametrize("length_s", [0.08, 0.12, 0.16])
+def test_a_pulse_clipped_at_2_g_is_found_and_its_stated_sd_covers_the_truth(delta_v, length_s):
+    (impact,) = find(drive((IMPACT_S, -delta_v, 0.0, 0.0, length_s), full_scale_g=2.0))
+    assert impact.clipped
+    assert abs(impact.delta_v_mps - delta_v) < 2.0 * impact.delta_v_sd_mps
+    assert impact.delta_v_sd_mps < delta_v
+    whole = find(drive((IMPACT_S, -delta_v, 0.0, 0.0, length_s)))[0]
+    assert impact.delta_v_sd_mps > whole.delta_v_sd_mps
+    assert impact.confidence < whole.confidence
+
+
+SILENT = {
+    "emergency braking, 1.05 g for 3 s": [(IMPACT_S, -31.0, 0.0, 0.0, 6.0)],
+    "cornering at 0.9 g": [(IMPACT_S, 0.0, 18.0, 0.0, 4.0)],
+    "pothole: hard and vertical, with a short jerk backward": [
+        (3.0, -0.6, 0.0, 1.5, 0.03),
+        (3.03, 0.5, 0.0, -1.5, 0.04),
+    ],
+    "speed bump: long and vertical": [(3.0, -0.8, 0.0, -1.5, 0.15), (3.15, 0.6, 0.0, 1.8, 0.2)],
+    "kerb mounted at walking pace": [(3.0, -0.9, 0.2, -1.2, 0.06), (3.06, 0.4, 0.0, 1.2, 0.1)],
+    "door slammed": [(3.0, 0.0, 0.25, 0.0, 0.01), (3.01, 0.0, -0.4, 0.0, 0.015), (3.025, 0.0, 0.15, 0.0, 0.02)],
+    "box knocked, 15 g, swinging back": [(3.0, 1.0, 0.3, 0.0, 0.013), (3.013, -1.0, -0.3, 0.0, 0.02)],
+    "box shaken": [(3.0 + 0.08 * k, 1.2 * (-1) ** k, 0.0, 0.0, 0.08) for k in range(12)],
+    "box dropped: free fall, then a vertical blow": [(3.0, 0.0, 0.0, 2.9, 0.3), (3.3, 0.6, 0.3, -3.4, 0.05)],
+}
+
+
+@pytest.mark.parametrize("full_scale_g", [2.0, 16.0])
+@pytest.mark.parametrize("attitude", [True, False])
+@pytest.mark.parametrize("name", SILENT)
+def test_what_is_no_accident_stays_silent(name, attitude, full_scale_g):
+    assert find(drive(*SILENT[name], full_scale_g=full_scale_g, attitude=attitude)) == []
+
+
+def test_a_box_tilted_against_its_stated_attitude_does_not_turn_bumps_into_accidents():
+    motion = drive(*SILENT["speed bump: long and vertical"], noise=0.5)
+    motion.down_b[:] = [math.sin(0.1), 0.0, math.cos(0.1)]  # 6 degrees: an alignment that has only begun
+    assert find(motion) == []
+
+
+def test_impacts_within_seconds_are_one_accident_told_again_only_if_worse():
+    first, second = (3.0, -3.0, 0.0, 0.0, 0.1), (4.5, 0.0, -2.8, 0.0, 0.1)
+    assert len(find(drive(first, second))) == 1
+    worse = (4.5, 0.0, -9.0, 0.0, 0.1)
+    told, again = find(drive(first, worse))
+    assert (told.revision, again.revision) == (0, 1)
+    assert again.t_ns == told.t_ns
+    assert again.severity is Severity.AIRBAG
+    assert again.decided_t_ns - EPOCH_NS == pytest.approx(4.65e9, abs=0.1e9)
+
+
+def test_impacts_minutes_apart_are_two_accidents():
+    first, second = find(drive((3.0, -3.0, 0.0, 0.0, 0.1), (12.0, -3.0, 0.0, 0.0, 0.1), seconds=15.0))
+    assert second.t_ns - first.t_ns == pytest.approx(9e9, abs=0.02e9)
+    assert first.revision == second.revision == 0
+
+
+def test_a_spinning_car_keeps_the_direction_it_had_when_it_was_hit():
+    motion = drive((IMPACT_S, 0.0, 0.0, 0.0, 0.2))
+    t_s = (motion.t_ns - EPOCH_NS) * 1e-9
+    turned = np.clip((t_s - IMPACT_S) / 0.2, 0.0, 1.0) * 1.5  # 1.5 rad to the right in 0.2 s
+    push = 8.0 * haversine(t_s - IMPACT_S, 0.2)  # on its left side, to the right as it first stood
+    motion.f_b[:, 0] += push * np.sin(turned)
+    motion.f_b[:, 1] += push * np.cos(turned)
+    motion.omega_b[:, 2] += np.gradient(turned, t_s)
+    (impact,) = find(motion)
+    assert impact.delta_v_mps == pytest.approx(8.0, abs=0.15)
+    # It has turned 4 degrees before the push stands out; in turning axes the sum would point 43 degrees off.
+    assert impact.pdof_deg == pytest.approx(270.0, abs=6.0)
+
+
+def test_a_crash_whose_data_break_off_is_decided_by_what_there_is():
+    motion = drive((IMPACT_S, -9.0, 0.0, 0.0, 0.12))
+    seen = np.flatnonzero(motion.t_ns < EPOCH_NS + 3.09e9)
+    later = np.flatnonzero(motion.t_ns > EPOCH_NS + 5.0e9)
+    (impact,) = find(take(motion, np.concatenate([seen, later])))
+    assert 5.0 < impact.delta_v_mps < 9.0  # three quarters of the pulse were seen
+
+
+def test_samples_that_are_no_numbers_or_come_twice_change_nothing():
+    motion = drive((IMPACT_S, -4.0, 0.0, 0.0, 0.1))
+    expected = find(motion)
+    order = np.repeat(np.arange(len(motion.t_ns)), 2)
+    assert find(take(motion, order)) == expected
+    motion.f_b[100:105] = np.nan
+    motion.omega_b[150] = np.inf
+    assert [impact.t_ns for impact in find(motion)] == [impact.t_ns for impact in expected]
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 400.0, 1000.0])
+def test_other_rates_find_the_same(rate_hz):
+    (impact,) = find(drive((IMPACT_S, -6.0, 2.0, 0.0, 0.12), rate_hz=rate_hz))
+    assert impact.delta_v_mps == pytest.approx(math.hypot(6, 2), rel=0.05)  # five samples a pulse at 50 Hz
+
+
+def test_an_unlikely_mounting_while_it_is_unknown_still_finds_the_crash():
+    motion = drive((IMPACT_S, -6.0, 0.0, 0.0, 0.12), attitude=False)
+    upright = take(motion, np.arange(len(motion.t_ns)), axes=(2, 1, 0))  # the box's x axis along the vertical
+    (impact,) = find(upright)
+    assert impact.delta_v_mps == pytest.approx(6.0, abs=0.6)
+
+
+def test_classes_of_severity():
+    limits = SeverityThresholds()
+    assert classify(3.5, 0.1, limits) is Severity.LOW_SPEED
+    assert classify(6.4, 0.1, limits) is Severity.LOW_SPEED
+    assert classify(6.6, 0.1, limits) is Severity.SEVERE
+    assert classify(7.0, 0.1, limits) is Severity.AIRBAG
+    assert classify(12.0, 0.9, limits) is Severity.SEVERE
+    assert classify(20.0, 0.3, limits) is Severity.AIRBAG
+
+
+def test_confidence_is_a_probability_that_grows_with_the_excess_and_falls_with_its_sd():
+    excesses = [confidence(excess, 0.6, 0.2) for excess in np.linspace(-1.0, 30.0, 100)]
+    assert all(0.0 <= c <= 1.0 for c in excesses)
+    assert excesses == sorted(excesses)
+    assert confidence(2.0, 0.6, 0.1) > confidence(2.0, 0.6, 1.0)
+    assert confidence(0.6, 0.6, 0.0) == pytest.approx(0.5)
+
+
+def test_confidence_of_crashes_grows_with_their_change_of_velocity():
+    found = [find(drive((IMPACT_S, -dv, 0.0, 0.0, 0.1)))[0].confidence for dv in (2.5, 4.0, 8.0, 15.0)]
+    assert found == sorted(found)
+
+
+def test_direction_of_force_is_in_0_to_360():
+    assert force_direction_deg(-1.0, 0.0) == 0.0
+    assert 0.0 <= force_direction_deg(-1.0, 1e-18) < 360.0
+
+
+def test_thresholds_refuse_what_makes_no_sense():
+    with pytest.raises(InvalidInputError, match=r"DetectorThresholds\.tyre_mps2.*expected 5 to 20 m/s2"):
+        DetectorThresholds(tyre_mps2=1.1)
+
+
+def take(motion, index, axes=(0, 1, 2)):
+    return VehicleMotion(
+        motion.t_ns[index],
+        motion.f_b[index][:, axes],
+        motion.omega_b[index][:, axes],
+        motion.down_b[index][:, axes],
+        motion.speed_mps[index],
+        motion.saturated[index],
+        motion.gravity_mps2,
+    )

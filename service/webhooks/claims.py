@@ -7,7 +7,7 @@ and the delivery is sent again when the lease runs out: at least once, never los
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Final
@@ -143,12 +143,15 @@ def claim_due(
     return [claims[id_] for id_ in wanted if id_ in claims]
 
 
-def record(connection: Connection, results: Iterable[Result], now_ns: int, schedule: RetrySchedule) -> list[str]:
+def record(connection: Connection, results: Sequence[Result], now_ns: int, schedule: RetrySchedule) -> list[str]:
     """Write down what came of attempts; returns each delivery's outcome: delivered, retried, dead, gone, interrupted.
 
     Recording a result twice, or for a delivery that was deleted meanwhile, changes nothing.
     """
-    return [_record(connection, result, now_ns, schedule) for result in results]
+    # Endpoints before deliveries, these by id: whoever disables an endpoint takes its locks in the same order.
+    ordered = sorted(results, key=lambda result: (result.outcome is not Outcome.GONE, result.claim.delivery_id))
+    told = {result.claim.delivery_id: _record(connection, result, now_ns, schedule) for result in ordered}
+    return [told[result.claim.delivery_id] for result in results]
 
 
 def release_interrupted(connection: Connection, now_ns: int) -> int:
@@ -164,6 +167,12 @@ def release_interrupted(connection: Connection, now_ns: int) -> int:
 def _record(connection: Connection, result: Result, now_ns: int, schedule: RetrySchedule) -> str:
     claim = result.claim
     error = None if result.error is None else result.error[:MAX_ERROR_LENGTH]
+    if result.outcome is Outcome.GONE:
+        connection.execute(
+            update(webhook_endpoints)
+            .where(webhook_endpoints.c.id == claim.endpoint_id)
+            .values(status="disabled", updated_ns=now_ns)
+        )
     connection.execute(
         update(delivery_attempts)
         .where(delivery_attempts.c.delivery_id == claim.delivery_id, _OPEN)
@@ -190,10 +199,5 @@ def _record(connection: Connection, result: Result, now_ns: int, schedule: Retry
         .values(last_status_code=result.status_code, last_error=error, **values)
     )
     if result.outcome is Outcome.GONE:
-        connection.execute(
-            update(webhook_endpoints)
-            .where(webhook_endpoints.c.id == claim.endpoint_id)
-            .values(status="disabled", updated_ns=now_ns)
-        )
         cancel_pending(connection, claim.endpoint_id, now_ns)
     return told

@@ -75,9 +75,15 @@ def replay(connection: Connection, delivery_id: int, now_ns: int) -> None:
 
 def cancel_pending(connection: Connection, endpoint_id: str, now_ns: int) -> None:
     """Give up what is still to be sent to an endpoint; for when it is disabled."""
+    pending = (
+        select(deliveries.c.id)
+        .where(deliveries.c.endpoint_id == endpoint_id, deliveries.c.status == "pending")
+        .order_by(deliveries.c.id)
+        .with_for_update()  # in the order in which the sender locks them
+    )
     connection.execute(
         update(deliveries)
-        .where(deliveries.c.endpoint_id == endpoint_id, deliveries.c.status == "pending")
+        .where(deliveries.c.id.in_(pending))
         .values(status="cancelled", next_attempt_ns=None, finished_ns=now_ns)
     )
 

@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final, ParamSpec, TypeVar
@@ -105,8 +106,9 @@ class Sender:
 
     def notify(self) -> None:
         """Say, from any thread, that a transaction with new deliveries was committed."""
-        if self._loop is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._wake.set)
+        if self._loop is not None:
+            with suppress(RuntimeError):  # the loop was closed: nobody is to be woken any more
+                self._loop.call_soon_threadsafe(self._wake.set)
 
     async def run(self) -> None:
         """Send until ``stop``; failures of receivers and of the database are survived."""
@@ -116,6 +118,9 @@ class Sender:
                 self._wake.clear()
                 await self._sleep(await self._turn())
             await self._finish()
+        except Exception:
+            logger.exception("the webhook sender ended; deliveries wait in the database until the service is restarted")
+            raise
         finally:
             for task in self._tasks:
                 task.cancel()

@@ -88,12 +88,14 @@ class Incoming:
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """What became of a packet. Everything of its boot up to ``durable_sequence`` is durable or refused for good;
-    ``skipped`` are the (boot_id, first, last) that this packet caused to be stepped over."""
+    ``skipped`` are the (boot_id, first, last) that this packet caused to be stepped over; ``gap`` says that packets
+    of its boot wait for a missing one."""
 
     status: Status
     code: str | None
     durable_sequence: int
     skipped: tuple[Span, ...] = ()
+    gap: bool = False
 
 
 _Submission = tuple[Incoming, "Future[Outcome]"]
@@ -101,13 +103,10 @@ _Submission = tuple[Incoming, "Future[Outcome]"]
 
 @dataclass(frozen=True, slots=True)
 class _Decision:
-    """What was decided on one packet; told when the transaction is through."""
+    """What is told of one packet when the transaction is through."""
 
-    incoming: Incoming
     future: Future[Outcome]
-    status: Status
-    code: str | None
-    skipped: tuple[Span, ...] = ()
+    outcome: Outcome
 
 
 class Journal:
@@ -260,14 +259,17 @@ class Journal:
             )
             self._hand_on(self._tracking.sequencer(pk)[1])
             kind = self._tracking.classify(pk, boot_id, sequence)
-            if kind != "new":
-                code = code or ("late" if kind == "late" else None)
-                decisions.append(_Decision(incoming, future, "refused" if code else "duplicate", code))
-                continue
-            start_t_ns, payload = (UNKNOWN_TIME, b"") if code else (incoming.start_t_ns, incoming.payload)
-            skipped = self._tracking.offer(pk, boot_id, sequence, start_t_ns).skipped
-            rows.append((pk, boot_id, sequence, start_t_ns, incoming.received_ns, payload))
-            decisions.append(_Decision(incoming, future, "refused" if code else "accepted", code, skipped))
+            skipped: tuple[Span, ...] = ()
+            if kind == "new":
+                start_t_ns, payload = (UNKNOWN_TIME, b"") if code else (incoming.start_t_ns, incoming.payload)
+                skipped = self._tracking.offer(pk, boot_id, sequence, start_t_ns).skipped
+                rows.append((pk, boot_id, sequence, start_t_ns, incoming.received_ns, payload))
+            floor, gap = self._tracking.standing(pk, boot_id)
+            if kind == "late":
+                code = code or "late"
+                floor = max(floor, sequence)  # its place is gone, whatever the floor of that boot was
+            status: Status = "refused" if code else "accepted" if kind == "new" else "duplicate"
+            decisions.append(_Decision(future, Outcome(status, code, floor, skipped, gap)))
         return decisions, rows
 
     def _write(self, rows: list[NewRow]) -> list[JournalEntry]:
@@ -306,18 +308,15 @@ class Journal:
         self._tracking.forget(incoming.vehicle.pk for incoming, _ in batch)
 
     def _tell(self, decision: _Decision) -> None:
-        incoming = decision.incoming
-        floor = self._tracking.durable_sequence(incoming.vehicle.pk, incoming.boot_id)
-        if decision.code == "late":
-            floor = max(floor, incoming.sequence)  # its place is gone, whatever the floor of that boot was
-        if decision.status == "accepted":
+        outcome = decision.outcome
+        if outcome.status == "accepted":
             self._metrics.packets_accepted_total.inc()
-        elif decision.status == "duplicate":
+        elif outcome.status == "duplicate":
             self._metrics.packets_duplicate_total.inc()
         else:
-            self._metrics.packets_refused_total.labels(code=decision.code).inc()
-        self._metrics.gaps_stepped_over_total.inc(len(decision.skipped))
-        decision.future.set_result(Outcome(decision.status, decision.code, floor, decision.skipped))
+            self._metrics.packets_refused_total.labels(code=outcome.code).inc()
+        self._metrics.gaps_stepped_over_total.inc(len(outcome.skipped))
+        decision.future.set_result(outcome)
 
     def _hand_on(self, entries: list[JournalEntry]) -> None:
         if not entries:

@@ -38,6 +38,7 @@ class Receipt:
     sequence: int = 0
     durable_sequence: int = 0
     skipped: tuple[Span, ...] = ()
+    gap: bool = False
 
 
 def refused_of(receipt: Receipt) -> list[tuple[str, int, str]]:
@@ -154,6 +155,7 @@ def _receipt_of(journaled: Future[Outcome], incoming: Incoming, refusal: PacketE
                 incoming.sequence,
                 outcome.durable_sequence,
                 outcome.skipped,
+                outcome.gap,
             )
         )
 

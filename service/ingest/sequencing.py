@@ -94,6 +94,11 @@ class Sequencer:
         boot = self._boots.get(boot_id)
         return boot.floor if boot else 0
 
+    def has_gap(self, boot_id: str) -> bool:
+        """Whether packets of this boot wait behind a missing one."""
+        boot = self._boots.get(boot_id)
+        return boot is not None and any(sequence > boot.floor for sequence in boot.held)
+
     def knows_boot(self, boot_id: str) -> bool:
         return boot_id in self._boots
 

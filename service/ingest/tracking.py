@@ -65,10 +65,10 @@ class Tracking:
         self._note(vehicle_pk, sequencer)
         return release
 
-    def durable_sequence(self, vehicle_pk: int, boot_id: str) -> int:
-        """As ``Sequencer.durable_sequence``; 0 for a vehicle that is not tracked."""
-        sequencer = self._sequencers.get(vehicle_pk)
-        return sequencer.durable_sequence(boot_id) if sequencer else 0
+    def standing(self, vehicle_pk: int, boot_id: str) -> tuple[int, bool]:
+        """``Sequencer.durable_sequence`` and ``has_gap``."""
+        sequencer = self._sequencers[vehicle_pk]
+        return sequencer.durable_sequence(boot_id), sequencer.has_gap(boot_id)
 
     def idle_behind_gap(self, for_s: float) -> list[tuple[int, tuple[str, int, int]]]:
         """Vehicles from which nothing new came for so long while packets are held, with the last one held."""

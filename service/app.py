@@ -27,7 +27,11 @@ def create_app(settings: Settings, runtime: Runtime | None = None) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         assert runtime is not None, "an application without a runtime serves nothing"
-        await runtime.start()
+        try:
+            await runtime.start()
+        except Exception as error:
+            app.state.startup_error = error
+            raise
         try:
             app.state.authenticator = Authenticator(runtime.database, required=settings.auth == "on")
             if settings.auth == "off":

@@ -57,7 +57,7 @@ class Metrics:
             "alert_latency_seconds", "From a packet's arrival to the webhook that it caused.", _ALERT_BUCKETS_S
         )
         self.http_request_seconds = histogram(
-            "http_request_seconds", "Time of an HTTP request.", _REQUEST_BUCKETS_S, "method", "route", "status"
+            "http_request_seconds", "Time of an HTTP request.", _REQUEST_BUCKETS_S, "operation", "status"
         )
 
     def exposition(self) -> bytes:

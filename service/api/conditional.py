@@ -5,14 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 from fastapi import Header, Request, Response
 from pydantic import BaseModel
 
 from service.errors import PreconditionFailedError
-
-GEOJSON: Final = "application/geo+json"
 
 IfMatch = Annotated[
     str | None, Header(description="ETag that the thing to be changed must still have, or * for any; else 412.")

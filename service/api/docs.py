@@ -74,7 +74,7 @@ def _sections(document: dict[str, Any]) -> Iterator[str]:
 def _operation(method: str, path: str, operation: dict[str, Any]) -> str:
     parts = [
         f"<details><summary><b>{method.upper()}</b> <code>{escape(path)}</code> ",
-        f"{escape(_first_line(operation.get('description', '')))}</summary>",
+        f"{escape(operation['summary'])}</summary>",
         _prose(operation.get("description", "")),
     ]
     rows = [

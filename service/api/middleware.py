@@ -18,7 +18,8 @@ from service.observability import Metrics
 MAX_BODY_BYTES: Final = 1 << 20
 """Of requests that are read whole before anything looks at them; telemetry bounds its own."""
 
-_BOUNDS_ITS_OWN: Final = "/telemetry"
+TELEMETRY: Final = "/telemetry"
+"""How the paths end to which packets are sent."""
 
 SECURITY_HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
@@ -77,10 +78,12 @@ class RequestContext:
             self._note(scope, request_id, status, time.perf_counter() - started_s)
 
     def _note(self, scope: Scope, request_id: str, status: int, took_s: float) -> None:
-        route = getattr(scope.get("route"), "path", "unmatched")
+        is_telemetry = scope["path"].endswith(TELEMETRY)
+        # The operation's name, not the path: a metric must not grow with what callers make up.
+        operation = "telemetry" if is_telemetry else getattr(scope.get("route"), "name", "unknown")
         if self._metrics is not None:
-            self._metrics.http_request_seconds.labels(scope["method"], route, str(status)).observe(took_s)
-        quiet = status < 400 and (scope["path"] in _QUIET_PATHS or scope["path"].endswith(_BOUNDS_ITS_OWN))
+            self._metrics.http_request_seconds.labels(operation, str(status)).observe(took_s)
+        quiet = status < 400 and (is_telemetry or scope["path"] in _QUIET_PATHS)
         principal = scope["state"].get("principal")
         # The path alone: neither headers nor the query, so that nothing secret can get into a log.
         fields = {
@@ -105,7 +108,7 @@ class BodyLimit:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
-        if scope["type"] != "http" or scope["path"].endswith(_BOUNDS_ITS_OWN):
+        if scope["type"] != "http" or scope["path"].endswith(TELEMETRY):
             await self._app(scope, receive, send)
             return
         try:

@@ -8,6 +8,7 @@ import yaml
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
+from schemas.geojson import GEOJSON_MEDIA_TYPE
 from schemas.problem import PROBLEM_MEDIA_TYPE, Problem
 from service.api.security import SCOPES
 
@@ -72,15 +73,45 @@ def document(app: FastAPI, extra_paths: dict[str, Any]) -> dict[str, Any]:
 
 def to_yaml(content: dict[str, Any]) -> str:
     """The document as it is committed."""
-    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=120)
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Longer texts as they read, and nothing by reference."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style="|" if "\n" in text else None)
+
+
+_Dumper.add_representer(str, _text)
 
 
 def _complete(operation: dict[str, Any], *, is_read: bool) -> None:
-    """Say what is the same everywhere: errors are problems, reads are conditional."""
+    """Say what is the same everywhere: errors are problems, reads are conditional, a query has no null."""
+    first, _, rest = operation.get("description", operation["summary"]).partition("\n\n")
+    operation["summary"] = first.replace("\n", " ")
+    if rest:
+        operation["description"] = rest
+    else:
+        operation.pop("description", None)
+    for parameter in operation.get("parameters", ()):
+        schema = parameter["schema"]
+        kinds = [kind for kind in schema.pop("anyOf", []) if kind != {"type": "null"}]
+        for kind in kinds:
+            schema.update(kind)
+        schema.pop("title", None)
+        schema.pop("description", None)
     responses = operation["responses"]
     responses.pop("422", None)
     for status, response in list(responses.items()):
-        named = [media.get("schema", {}).get("$ref", "") for media in response.get("content", {}).values()]
+        content = response.get("content", {})
+        if content.get(GEOJSON_MEDIA_TYPE) == {}:
+            content[GEOJSON_MEDIA_TYPE] = content.pop("application/json")
+        named = [media.get("schema", {}).get("$ref", "") for media in content.values()]
         if status.startswith(("4", "5")) and any(ref.endswith("/Problem") for ref in named):
             responses[status] = {**_PROBLEM, "description": response["description"]}
     responses["default"] = _PROBLEM

@@ -13,6 +13,7 @@ from fastapi.exceptions import RequestValidationError
 from sqlalchemy.exc import InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 
 from core.errors import CoreError, InvalidInputError
 from schemas.problem import PROBLEM_MEDIA_TYPE, Problem
@@ -84,9 +85,22 @@ def _http_problem(request: Request, error: Exception) -> Response:
         404: "there is nothing at this path; see /docs for what there is",
         405: f"{request.method} is not possible here",
     }
+    headers = dict(error.headers or {})
+    if error.status_code == 405:
+        headers["Allow"] = ", ".join(_allowed(request))
     code = _CODES.get(error.status_code, HTTPStatus(error.status_code).name.lower())
     detail = details.get(error.status_code, str(error.detail))
-    return problem_response(request.scope, error.status_code, code, detail, error.headers)
+    return problem_response(request.scope, error.status_code, code, detail, headers)
+
+
+def _allowed(request: Request) -> list[str]:
+    """What is possible at this path: the framework names only what the first of its routes can."""
+    routes = request.app.router.routes
+    return [
+        method
+        for method in ("GET", "PUT", "POST", "PATCH", "DELETE")
+        if any(route.matches({**request.scope, "method": method})[0] is Match.FULL for route in routes)
+    ]
 
 
 def _validation_problem(request: Request, error: Exception) -> Response:

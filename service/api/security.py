@@ -81,9 +81,11 @@ class Authenticator:
     def remembered(self, connection: HTTPConnection) -> Principal | None:
         """Who calls, where that is known without the database: then nothing blocks."""
         if not self._required:
-            return EVERYBODY
+            return _noted(connection, EVERYBODY)
         known = self._remembered.get(_digest(bearer_token(connection)))
-        return known[0] if known is not None and time.monotonic() < known[1] else None
+        if known is None or time.monotonic() >= known[1]:
+            return None
+        return _noted(connection, known[0])
 
     def principal(self, connection: HTTPConnection) -> Principal:
         """Who calls; raises UnauthenticatedError. May wait for the database."""
@@ -96,7 +98,7 @@ class Authenticator:
             if len(self._remembered) >= _MAX_REMEMBERED:
                 self._remembered.clear()
             self._remembered[_digest(token)] = principal, time.monotonic() + REVOCATION_DELAY_S
-        return principal
+        return _noted(connection, principal)
 
 
 def bearer_token(connection: HTTPConnection) -> str:
@@ -105,6 +107,11 @@ def bearer_token(connection: HTTPConnection) -> str:
     if scheme.lower() != "bearer" or not token.strip():
         raise UnauthenticatedError("an API key is needed: send the header 'Authorization: Bearer tf_...'")
     return token.strip()
+
+
+def _noted(connection: HTTPConnection, principal: Principal) -> Principal:
+    connection.state.principal = principal  # for the log
+    return principal
 
 
 def _digest(token: str) -> bytes:
@@ -119,9 +126,7 @@ _bearer: Final = HTTPBearer(auto_error=False, scheme_name="ApiKey", description=
 def caller(request: Request, _documented: Annotated[object, Security(_bearer)]) -> Principal:
     """Dependency: the caller, whatever they may do."""
     authenticator: Authenticator = request.app.state.authenticator
-    principal = authenticator.principal(request)
-    request.state.principal = principal
-    return principal
+    return authenticator.principal(request)
 
 
 Caller = Annotated[Principal, Depends(caller)]
@@ -130,7 +135,8 @@ Caller = Annotated[Principal, Depends(caller)]
 def require(scope: str) -> Callable[[Principal], Principal]:
     """Dependency: the caller, who must hold ``scope``; 401 without a good key, 403 without the scope."""
 
-    def with_scope(principal: Caller) -> Principal:
+    # Security rather than Depends, so that the OpenAPI document names the scope.
+    def with_scope(principal: Principal = Security(caller, scopes=[scope])) -> Principal:  # noqa: B008
         principal.check(scope)
         return principal
 

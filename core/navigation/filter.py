@@ -227,7 +227,7 @@ class NavigationFilter:
         x[state.X_V : state.X_V + 3] = found.v_n
         x[state.X_LAT], x[state.X_LON], x[state.X_ALT] = found.lat_rad, found.lon_rad, found.alt_m
         x[state.X_DV : state.X_DV + 3] = 0.0
-        x[state.X_BLOCK : state.NX] = 0.0
+        x[state.X_BLOCK : state.X_STILL_F] = 0.0
         self.ti[:] = 0
         self.ti[state.T_NOW] = self.ti[state.T_COV] = self.ti[state.T_GNSS] = found.t_ns - 1
         # The first sample at or after the second opens every grid.

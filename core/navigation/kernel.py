@@ -68,6 +68,8 @@ from core.navigation.state import (
     X_MOUNT_YAW,
     X_Q,
     X_SATURATED_S,
+    X_STILL_F,
+    X_STILL_W,
     X_V,
     X_W,
 )
@@ -80,6 +82,9 @@ STOPPED_END, STOPPED_GAP, STOPPED_LOST = 0, 1, 2
 USE_NHC, USE_ZUPT = 1, 2
 """Switches of the constraints, as bits."""
 
+LEARN_SHARE = 0.05
+"""Share by which the level of a standing vehicle's spread follows each block: some 2 s."""
+
 _GYRO_NOISE = PARAMETER["gyro_noise_radps_rts"]
 _ACCEL_NOISE = PARAMETER["accel_noise_mps2_rts"]
 _BG_WALK = PARAMETER["gyro_bias_walk_radps2_rts"]
@@ -88,6 +93,7 @@ _SCALE_WALK = PARAMETER["speed_scale_walk_rts"]
 _MOUNT_WALK = PARAMETER["mount_angle_walk_rad_rts"]
 _STILL_ACCEL = PARAMETER["still_accel_sd_mps2"]
 _STILL_GYRO = PARAMETER["still_gyro_sd_radps"]
+_STILL_FACTOR = PARAMETER["still_factor"]
 _STILL_MEAN = PARAMETER["still_mean_accel_mps2"]
 _STILL_SPEED = PARAMETER["still_max_speed_mps"]
 _CONSTRAINT_S = PARAMETER["constraint_interval_s"]
@@ -182,7 +188,8 @@ def _close_block(x: FloatArray, ti: TimeArray, p: FloatArray, ring: FloatArray, 
     if ti[I_BLOCKS] < N_BLOCKS:
         return
     i0 = VEL * N_STATES + VEL
-    limit = par[_STILL_SPEED] + 3.0 * math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
+    speed_sd = math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
+    limit = par[_STILL_SPEED] + 3.0 * speed_sd
     if x[X_V] ** 2 + x[X_V + 1] ** 2 > limit * limit:
         return
     spread_f, spread_w = 0.0, 0.0
@@ -207,6 +214,13 @@ def _close_block(x: FloatArray, ti: TimeArray, p: FloatArray, ring: FloatArray, 
             spread_w += variance
     if spread_f > par[_STILL_ACCEL] ** 2 or spread_w > par[_STILL_GYRO] ** 2:
         return
+    spread_f, spread_w = math.sqrt(spread_f), math.sqrt(spread_w)
+    # Where the filter's own speed is no witness, it has to be as quiet as this vehicle is when it stands.
+    uncertain = speed_sd > par[_STILL_SPEED]
+    if uncertain and x[X_STILL_F] > 0.0:
+        factor = par[_STILL_FACTOR]
+        if spread_f > factor * x[X_STILL_F] or spread_w > factor * x[X_STILL_W]:
+            return
     # Pulling away evenly is smooth too: what gravity and bias leave must be nothing.
     mean = (mean_0 - x[X_BA], mean_1 - x[X_BA + 1], mean_2 - x[X_BA + 2])
     c0, c1, c2, c3, c4, c5, _, _, _ = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
@@ -215,8 +229,13 @@ def _close_block(x: FloatArray, ti: TimeArray, p: FloatArray, ring: FloatArray, 
     i0 = ATT * N_STATES + ATT
     tilt = math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
     limit = par[_STILL_MEAN] + 3.0 * STANDARD_GRAVITY_MPS2 * tilt
-    if an * an + ae * ae <= limit * limit:
-        ti[I_STATIONARY] = 1
+    if an * an + ae * ae > limit * limit:
+        return
+    ti[I_STATIONARY] = 1
+    if not uncertain:
+        share = LEARN_SHARE if x[X_STILL_F] > 0.0 else 1.0
+        x[X_STILL_F] += share * (spread_f - x[X_STILL_F])
+        x[X_STILL_W] += share * (spread_w - x[X_STILL_W])
 
 
 @njit(cache=True, nogil=True)

@@ -42,7 +42,9 @@ X_BLOCK: Final = 46  # sums of f_b and omega_b over the open block, 6
 X_SATURATED_S: Final = 52  # clipped time since the covariance was last propagated, s
 X_REJECTED_N: Final = 53  # innovation of the last refused fix, m, 2
 X_BRIDGED_S: Final = 55  # time bridged without samples since the covariance was last propagated, s
-NX: Final = 56
+X_STILL_F: Final = 56  # spread of the standing vehicle's block means as learnt, m/s2; 0 before
+X_STILL_W: Final = 57  # the same of the rates, rad/s
+NX: Final = 58
 
 # Integer state ``ti``, int64: times in ns and counters.
 T_NOW: Final = 0

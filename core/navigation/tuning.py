@@ -116,6 +116,13 @@ class Tuning(Tunables):
     still_mean_accel_mps2: float = tunable(
         0.2, unit="m/s2", low=0.01, high=2, source="beyond tilt error: a car pulls away with 0.5 m/s2 and more"
     )
+    still_factor: float = tunable(
+        2.0,
+        unit="1",
+        low=1,
+        high=10,
+        source="choice: over the level learnt when standing; rolling at 4 m/s on a smooth road is three times it",
+    )
     still_max_speed_mps: float = tunable(
         0.5, unit="m/s", low=0.1, high=10, source="a smooth road at speed is no standstill"
     )

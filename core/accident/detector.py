@@ -102,6 +102,7 @@ class ImpactDetector:
         if clipped:
             whole = unclip(t_ns, x, flags, pulse)
             delta_v, duration_s, sd = whole.delta_v_mps, whole.duration_s, math.hypot(sd, whole.sd_mps)
+            forward, right = whole.forward, whole.right
         excess = delta_v - limits.tyre_mps2 * duration_s
         if clipped and excess - limits.clipped_sds * sd < limits.margin_mps:
             return None

@@ -28,11 +28,14 @@ class Pulse(NamedTuple):
 
 
 class Whole(NamedTuple):
-    """A whole pulse estimated from its unclipped flanks: change of velocity with sd, m/s, and length, s."""
+    """A whole pulse estimated from its unclipped flanks: change of velocity with sd, m/s, its direction as a unit
+    vector forward and right, and its length, s."""
 
     delta_v_mps: float
     sd_mps: float
     duration_s: float
+    forward: float
+    right: float
 
 
 PULSE_MEDIAN_S: Final = 0.11
@@ -45,6 +48,8 @@ MISFIT: Final = 0.3
 NHTSA test 10146, whose flank at 2, 4 and 16 g leads and lags them by so much."""
 MISFIT_S: Final = 0.005
 """How long such a stray lasts, s: samples closer together share one. A choice, after the same test."""
+FLANK_MPS2: Final = 5.0
+"""Sum of the flanks' accelerations, m/s2, from which they tell a direction: well above vibration. A choice."""
 DELTA_V_MEDIAN_MPS: Final = 5.6
 DELTA_V_LOG_SD: Final = 0.9
 """Changes of velocity that collisions bring, m/s, as a log-normal prior: two thirds between 2.3 and 14 m/s. A choice:
@@ -142,8 +147,10 @@ def measure(
 @njit(cache=True, nogil=True)
 def fit_clipped(
     t_ns: TimeArray, x: FloatArray, flags: Flags, first: int, last: int, ux: float, uy: float
-) -> tuple[float, float, float]:
-    """Mean and sd of the change of velocity (m/s) and mean length (s) of a clipped pulse along (ux, uy).
+) -> tuple[float, float, float, float, float]:
+    """Mean and sd of the change of velocity (m/s), mean length (s) and direction of a clipped pulse along (ux, uy).
+
+    Clipping one axis and not the other turns the readings away from the pulse's direction, so the flanks give it.
 
     Posterior over a grid of half-sines and haversines, a(t) = A sin(pi (t - t0) / T) to the power 1 or 2, the two
     shapes between which crash pulses lie: unclipped samples are compared with it, clipped ones only say
@@ -165,6 +172,14 @@ def fit_clipped(
         begin -= 1
     while end < last and _along(x, end + 1, ux, uy) < _along(x, end, ux, uy):
         end += 1
+    flank_x = flank_y = 0.0
+    for k in range(begin, end + 1):
+        if not flags[k] & CLIPPED:
+            flank_x += x[k, A_X]
+            flank_y += x[k, A_Y]
+    flank = math.hypot(flank_x, flank_y)
+    if flank_x * ux + flank_y * uy > 0.5 * flank and flank >= FLANK_MPS2:
+        ux, uy = flank_x / flank, flank_y / flank
     n = end - begin + 1
     time, value, shape = np.empty(n), np.empty(n), np.empty(n)
     hidden_s = 0.0
@@ -211,7 +226,7 @@ def fit_clipped(
                             sum_t += weight * length
     mean = sum_v / total
     misfit = MISFIT * level * hidden_s  # the flanks' misfit again, over what no flank shows
-    return mean, math.sqrt(max(sum_vv / total - mean * mean, 0.0) + misfit * misfit), sum_t / total
+    return mean, math.sqrt(max(sum_vv / total - mean * mean, 0.0) + misfit * misfit), sum_t / total, ux, uy
 
 
 def read_pulse(
@@ -244,9 +259,10 @@ def read_pulse(
 
 
 def unclip(t_ns: TimeArray, x: FloatArray, flags: Flags, pulse: Pulse) -> Whole:
-    """The whole pulse of a clipped one, along the direction it was read with."""
+    """The whole pulse behind a clipped one."""
     cos, sin = float(x[pulse.first, HEADING_COS]), float(x[pulse.first, HEADING_SIN])
     norm = math.hypot(pulse.forward_mps, pulse.right_mps)
     forward, right = pulse.forward_mps / norm, pulse.right_mps / norm
     ux, uy = forward * cos - right * sin, forward * sin + right * cos
-    return Whole(*fit_clipped(t_ns, x, flags, pulse.first, pulse.last, ux, uy))
+    delta_v, sd, duration_s, ux, uy = fit_clipped(t_ns, x, flags, pulse.first, pulse.last, ux, uy)
+    return Whole(delta_v, sd, duration_s, forward=ux * cos + uy * sin, right=-ux * sin + uy * cos)

@@ -241,3 +241,10 @@ def take(motion, index, axes=(0, 1, 2)):
         motion.saturated[index],
         motion.gravity_mps2,
     )
+
+
+def test_clipping_one_axis_does_not_turn_the_direction_of_force():
+    (impact,) = find(drive((IMPACT_S, -9.4, -3.4, 0.0, 0.12), full_scale_g=2.0))
+    assert impact.clipped
+    # Clipped at 2 g ahead alone, the readings themselves would point 35 degrees to the right.
+    assert impact.pdof_deg == pytest.approx(math.degrees(math.atan2(3.4, 9.4)), abs=6.0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Final
 
-from sqlalchemy import ColumnElement, Connection, and_, case, func, insert, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, exists, func, insert, or_, select, update
 
 from service.storage.tables import deliveries, delivery_attempts, events, webhook_endpoints
 from service.webhooks.outbox import cancel_pending
@@ -22,6 +22,13 @@ from service.webhooks.signing import Secret, secrets_from_json
 INTERRUPTED: Final = "interrupted: the service stopped before the outcome was known"
 
 MAX_ERROR_LENGTH: Final = 500
+
+ALERT_PREFIX: Final = "accident."
+"""Types that overtake others and whose latency is measured."""
+
+LOOK: Final = 64
+"""Due deliveries looked at from each end of an endpoint's queue; an accident within them is sent first, and a
+backlog of any length costs a turn no more than this."""
 
 _OPEN: Final = and_(delivery_attempts.c.status_code.is_(None), delivery_attempts.c.error.is_(None))
 
@@ -73,33 +80,19 @@ def next_due_ns(connection: Connection, after_ns: int) -> tuple[bool, int | None
 
 
 def claim_due(
-    connection: Connection,
-    now_ns: int,
-    lease_ns: int,
-    per_endpoint: int,
-    full: Collection[str],
-    accept: Callable[[int, str], bool],
+    connection: Connection, now_ns: int, lease_ns: int, full: Collection[str], accept: Callable[[int, str], bool]
 ) -> list[Claim]:
-    """Lease due deliveries, accidents first, then what waited longest.
+    """Lease due deliveries, accidents first, then what waited longest; endpoints in ``full`` are left out.
 
-    At most ``per_endpoint`` of each endpoint are looked at and none of those in ``full``, so that a
-    backlog of one never hides another's. ``accept(delivery_id, endpoint_id)`` has the last word.
+    ``accept(delivery_id, endpoint_id)`` has the last word on each.
     """
-    alert = case((events.c.type.startswith("accident."), 0), else_=1)
-    order = (alert, deliveries.c.next_attempt_ns, deliveries.c.id)
-    rank = func.row_number().over(partition_by=deliveries.c.endpoint_id, order_by=order)
-    ranked = (
-        select(deliveries.c.id, deliveries.c.endpoint_id, rank.label("rank"), alert.label("alert"))
-        .join(events, events.c.id == deliveries.c.event_id)
-        .where(deliveries.c.next_attempt_ns <= now_ns, deliveries.c.endpoint_id.not_in(full))
-        .subquery()
-    )
-    candidates = connection.execute(
-        select(ranked.c.id, ranked.c.endpoint_id)
-        .where(ranked.c.rank <= per_endpoint)
-        .order_by(ranked.c.alert, ranked.c.rank, ranked.c.id)
-    )
-    wanted = [row.id for row in candidates if accept(row.id, row.endpoint_id)]
+    due = [
+        row
+        for endpoint_id in _endpoints_with_due(connection, now_ns, full)
+        for row in _due(connection, endpoint_id, now_ns)
+    ]
+    due.sort(key=lambda row: (not row.type.startswith(ALERT_PREFIX), row.next_attempt_ns, row.id))
+    wanted = [row.id for row in due if accept(row.id, row.endpoint_id)]
     if not wanted:
         return []
     # Another process may have been faster: take only what is still due, and wait for nobody.
@@ -162,6 +155,37 @@ def release_interrupted(connection: Connection, now_ns: int) -> int:
         .where(deliveries.c.status == "pending", deliveries.c.id.in_(interrupted))
         .values(next_attempt_ns=now_ns)
     ).rowcount
+
+
+def _endpoints_with_due(connection: Connection, now_ns: int, full: Collection[str]) -> list[str]:
+    has_due = (
+        exists()
+        .where(deliveries.c.endpoint_id == webhook_endpoints.c.id, deliveries.c.next_attempt_ns <= now_ns)
+        .correlate(webhook_endpoints)
+    )
+    found = connection.execute(
+        select(webhook_endpoints.c.id).where(
+            webhook_endpoints.c.status == "enabled", webhook_endpoints.c.id.not_in(full), has_due
+        )
+    )
+    return list(found.scalars())
+
+
+def _due(connection: Connection, endpoint_id: str, now_ns: int) -> set[Row[Any]]:
+    """An endpoint's due deliveries from both ends: those that waited longest, and what has just come in."""
+    next_ns = deliveries.c.next_attempt_ns
+    found: set[Row[Any]] = set()
+    for order in (next_ns.asc(), next_ns.desc()):
+        due = (
+            select(deliveries.c.id, deliveries.c.endpoint_id, deliveries.c.event_id, next_ns)
+            .where(deliveries.c.endpoint_id == endpoint_id, next_ns <= now_ns)
+            .order_by(order)
+            .limit(LOOK)
+            .subquery()
+        )
+        with_type = select(due.c.id, due.c.endpoint_id, due.c.next_attempt_ns, events.c.type)
+        found.update(connection.execute(with_type.join(events, events.c.id == due.c.event_id)))
+    return found
 
 
 def _record(connection: Connection, result: Result, now_ns: int, schedule: RetrySchedule) -> str:

@@ -25,6 +25,7 @@ from service.observability import Metrics
 from service.settings import Settings
 from service.storage import database
 from service.webhooks.claims import (
+    ALERT_PREFIX,
     Claim,
     Outcome,
     Result,
@@ -174,7 +175,6 @@ class Sender:
                 connection,
                 now_ns,
                 int(self._limits.lease_s * 1e9),
-                self._limits.per_endpoint,
                 slots.full_endpoints(),
                 slots.take,
             )
@@ -217,7 +217,7 @@ class Sender:
 
     def _observe_latency(self, claim: Claim) -> None:
         # Only the first attempt: later ones measure the receiver.
-        if claim.attempts == 1 and claim.type.startswith("accident."):
+        if claim.attempts == 1 and claim.type.startswith(ALERT_PREFIX):
             self._metrics.alert_latency_seconds.observe((self._clock() - claim.received_ns) * 1e-9)
 
     def _count(self, results: list[Result], told: list[str]) -> None:

@@ -40,8 +40,8 @@ class LevelMotion:
 
     Samples that are not finite or not later than the one before are left out. Where the filter has no
     attitude (``down_b`` NaN), the vertical is carried on by the gyroscopes and drawn to the measured specific force
-    while that is near 1 g: a complementary filter (Mahony, Hamel & Pflimlin 2008, IEEE TAC 53(5), eq. 32, gain
-    1 / ``levelling_s``).
+    while that is near 1 g: a complementary filter (Mahony, Hamel & Pflimlin 2008, IEEE TAC 53(5)) with the gain
+    1 / ``levelling_s``.
 
     Attributes
     ----------

@@ -39,8 +39,8 @@ class Whole(NamedTuple):
 
 
 PULSE_MEDIAN_S: Final = 0.11
-"""Usual length of a collision's pulse, s: full frontal barrier tests 80-120 ms (the NHTSA tests' own curves),
-bumper contacts at low speed 90-150 ms (SAE 2000-01-0178 and the like). A prior, used for clipped pulses only."""
+"""Usual length of a collision's pulse, s: 95 ms against a rigid barrier (NHTSA test 10146), longer where another car
+gives way. A prior for clipped pulses only; an assumption, not fitted to a set of crashes."""
 PULSE_LOG_SD: Final = 0.35
 """Spread of the logarithm of that length: two thirds of pulses between 78 and 156 ms. A choice."""
 MISFIT: Final = 0.3

@@ -103,7 +103,11 @@ class DetectorThresholds(Tunables):
     """
 
     tyre_mps2: float = tunable(
-        10.8, unit="m/s2", low=5.0, high=20.0, source="1.1 g: the most that road tyres hold, braking or cornering"
+        10.8,
+        unit="m/s2",
+        low=5.0,
+        high=20.0,
+        source="choice, 1.1 g: above emergency braking and cornering of cars on dry asphalt, about 1 g",
     )
     margin_mps: float = tunable(
         0.6,
@@ -117,7 +121,7 @@ class DetectorThresholds(Tunables):
         unit="s",
         low=0.01,
         high=0.2,
-        source="choice: door slams, stones and knocks on the box swing back within; real pulses last 60 ms and more",
+        source="choice: door slams, stones and knocks on the box swing back within; crash pulses last longer",
     )
     longest_s: float = tunable(1.0, unit="s", low=0.2, high=1.0, source="seed 1, 3.3: severe is a change within 1 s")
     onset_mps2: float = tunable(

@@ -1,19 +1,28 @@
-"""Databases for tests: a fresh SQLite file, and a real PostgreSQL of this test run's own."""
+"""For tests: fresh databases, SQLite and a real PostgreSQL of this test run's own, and a service over HTTP."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import shutil
+import socket
 import tempfile
+import threading
+from dataclasses import dataclass
 
+import httpx
 import pytest
 import sqlalchemy
+import uvicorn
+from sqlalchemy import Engine
 from sqlalchemy.engine import make_url
 
-from service.settings import ENV_PREFIX
-from service.storage import schema
-from service.storage.database import open_database
+from service.app import create_app
+from service.runtime import Runtime
+from service.settings import ENV_PREFIX, Settings
+from service.storage import keys, schema, tenants
+from service.storage.database import open_database, write
 
 _numbers = itertools.count(1)
 
@@ -88,3 +97,58 @@ def postgres_database(empty_postgres_url):
 def any_database(request):
     """An engine on a fresh database, once for each kind that the service runs on."""
     return request.getfixturevalue("database" if request.param == "sqlite" else "postgres_database")
+
+
+@dataclass(frozen=True)
+class RunningService:
+    """A service on a free port of this machine, with what a test may look at behind it."""
+
+    runtime: Runtime
+    url: str
+
+    @property
+    def database(self) -> Engine:
+        return self.runtime.database
+
+    def token(self, tenant: str, *scopes: str) -> str:
+        """A new API key; the tenant is made if it is new."""
+        with write(self.database) as connection:
+            tenants.ensure(connection, tenant)
+            return keys.create(connection, tenant, "test", scopes)[1]
+
+    def client(self, tenant: str, *scopes: str) -> httpx.Client:
+        """A caller with a key of its own."""
+        return httpx.Client(base_url=self.url, headers={"Authorization": f"Bearer {self.token(tenant, *scopes)}"})
+
+
+@contextlib.contextmanager
+def run_service(settings: Settings):
+    """Serve as ``telefuse serve`` does, in a thread; stops gracefully at the end."""
+    runtime = Runtime(settings)
+    server = uvicorn.Server(uvicorn.Config(create_app(settings, runtime), log_config=None, lifespan="on"))
+    listener = socket.create_server(("127.0.0.1", 0))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+    thread.start()
+    try:
+        while not server.started:
+            assert thread.is_alive(), "the service did not start; its log says why"
+            thread.join(0.01)
+        yield RunningService(runtime, f"http://127.0.0.1:{listener.getsockname()[1]}")
+    finally:
+        server.should_exit = True
+        thread.join()
+        listener.close()
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory):
+    """A service with auth on; the tests of a module share it and keep apart by tenants of their own."""
+    data_dir = tmp_path_factory.mktemp("service")
+    with run_service(Settings(data_dir=data_dir, zenoh_mode="off", workers=1)) as running:
+        yield running
+
+
+@pytest.fixture
+def tenant():
+    """A tenant that no other test has."""
+    return f"tenant-{next(_numbers)}"

@@ -13,7 +13,7 @@ from service.settings import Settings
 from service.storage import keys, tenants
 from service.storage.database import write
 from tests.service.webhook_harness import Outbox, eventually
-from tests.service.webhook_receiver import Answer, WebhookReceiver
+from tests.service.webhook_receiver import Answer
 
 PATH = "/v1/webhook-endpoints"
 
@@ -57,12 +57,6 @@ def api(api_of, tenant_id):
 @pytest.fixture
 def outbox(app, tenant_id):
     return Outbox(app.state.runtime.database, tenant_id=tenant_id)
-
-
-@pytest.fixture
-def receiver():
-    with WebhookReceiver() as receiver:
-        yield receiver
 
 
 def create(api, url="https://example.com/hooks", **settings):

@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable
+from typing import Final
 from uuid import uuid4
 
 from sqlalchemy import Engine, insert, select
@@ -15,11 +16,15 @@ from service.settings import Settings
 from service.storage import tenants
 from service.storage.database import read, write
 from service.storage.tables import deliveries, delivery_attempts, webhook_endpoints
+from service.webhooks.client import ClientLimits
 from service.webhooks.outbox import NewEvent, publish
 from service.webhooks.sender import Sender, SenderLimits
 from service.webhooks.signing import Secret, new_secret, secrets_to_json
 
 S = 10**9
+
+FAST: Final = SenderLimits(poll_s=60.0, database_retry_s=0.02, client=ClientLimits(total_s=0.3, drain_s=0.1))
+"""Time-outs that a test can wait for."""
 
 
 def eventually(condition: Callable[[], object], timeout_s: float = 10.0):

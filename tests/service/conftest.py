@@ -1,0 +1,34 @@
+"""What tests of the service share."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.service.webhook_harness import Clock, Outbox
+from tests.service.webhook_receiver import WebhookReceiver
+
+
+@pytest.fixture
+def engine(request):
+    """SQLite; where the statements matter, both."""
+    kind = getattr(request, "param", "sqlite")
+    return request.getfixturevalue("database" if kind == "sqlite" else "postgres_database")
+
+
+@pytest.fixture
+def clock():
+    """Time that stands still until a test advances it."""
+    return Clock()
+
+
+@pytest.fixture
+def outbox(engine, clock):
+    """A tenant's webhooks in the database."""
+    return Outbox(engine, clock)
+
+
+@pytest.fixture
+def receiver():
+    """A receiver of webhooks on loopback."""
+    with WebhookReceiver() as receiver:
+        yield receiver

@@ -254,8 +254,8 @@ def _check_range(where: str, values: FloatArray, most: float, unit: str) -> None
 def _check_value(where: str, value: float, low: float, high: float) -> None:
     if not math.isfinite(value):
         raise PacketError("not_finite", f"{where} is {value}; leave out what is not known")
-    # Units of the wire are rounded, so an end of the range may come out a rounding beyond itself.
-    slack = 1e-9 * max(abs(value), 1e-3)
+    # An end of the range, scaled from the wire's units, may come out a rounding beyond itself.
+    slack = 1e-14 * max(abs(low) if math.isfinite(low) else 0.0, abs(value))
     if not low - slack <= value <= high + slack:
         raise PacketError("range", f"{where} is {value:g}, expected {low:g} to {high:g}")
 

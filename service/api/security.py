@@ -72,8 +72,9 @@ def authenticate(engine: Engine, token: str) -> Principal:
 class Authenticator:
     """Tells who makes a request; for endpoints of any kind. Safe from any thread."""
 
-    def __init__(self, engine: Engine, required: bool) -> None:
+    def __init__(self, engine: Engine, required: bool, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._engine = engine
+        self._monotonic_s = monotonic_s
         self._required = required
         self._lock = threading.Lock()
         self._remembered: dict[bytes, tuple[Principal, float]] = {}
@@ -83,7 +84,7 @@ class Authenticator:
         if not self._required:
             return _noted(connection, EVERYBODY)
         known = self._remembered.get(_digest(bearer_token(connection)))
-        if known is None or time.monotonic() >= known[1]:
+        if known is None or self._monotonic_s() >= known[1]:
             return None
         return _noted(connection, known[0])
 
@@ -97,7 +98,7 @@ class Authenticator:
         with self._lock:
             if len(self._remembered) >= _MAX_REMEMBERED:
                 self._remembered.clear()
-            self._remembered[_digest(token)] = principal, time.monotonic() + REVOCATION_DELAY_S
+            self._remembered[_digest(token)] = principal, self._monotonic_s() + REVOCATION_DELAY_S
         return _noted(connection, principal)
 
 

@@ -9,8 +9,7 @@ from sqlalchemy import func, insert, select
 
 from service.storage import tables, vehicles
 from service.storage.database import read, write
-
-NS = 1_000_000_000
+from tests.service.stored_rows import NS, T0, point_row
 
 
 @pytest.fixture
@@ -22,30 +21,6 @@ def admin(service, tenant):
 def pk_of(service, tenant, vehicle_id):
     with read(service.database) as connection:
         return vehicles.find(connection, tenant, vehicle_id).ref.pk
-
-
-def track_row(pk, t_ns, **changes):
-    row = {
-        "vehicle_pk": pk,
-        "t_ns": t_ns,
-        "lat_deg": 57.7,
-        "lon_deg": 11.97,
-        "alt_m": 40.0,
-        "vn_mps": 3.0,
-        "ve_mps": 4.0,
-        "vd_mps": 0.0,
-        "roll_deg": 0.5,
-        "pitch_deg": 0.1,
-        "yaw_deg": 53.1,
-        "sd_n_m": 0.8,
-        "sd_e_m": 0.7,
-        "sd_d_m": 1.2,
-        "cov_ne_m2": 0.01,
-        "sd_yaw_deg": 0.4,
-        "gnss_used": True,
-        "mode": 1,
-    }
-    return row | changes
 
 
 def test_registering_returns_the_keys_that_the_box_writes_to(admin, tenant):
@@ -155,12 +130,11 @@ def test_state_before_anything_came(admin):
 def test_state_is_the_newest_of_everything(service, admin, tenant):
     admin.put("/v1/vehicles/a", json={})
     pk = pk_of(service, tenant, "a")
-    t_ns = 1_800_000_000 * NS
-    packet = {"vehicle_pk": pk, "boot_id": "b1", "start_t_ns": t_ns, "received_ns": t_ns + NS}
+    packet = {"vehicle_pk": pk, "boot_id": "b1", "start_t_ns": T0, "received_ns": T0 + NS}
     with write(service.database) as connection:
         rows = [packet | {"sequence": number, "payload": b"p"} for number in (1, 2, 4)]
         connection.execute(insert(tables.journal), rows)
-        connection.execute(insert(tables.track_points), [track_row(pk, t_ns), track_row(pk, t_ns + NS, mode=2)])
+        connection.execute(insert(tables.track_points), [point_row(pk, 0), point_row(pk, 1, mode=2)])
     state = admin.get("/v1/vehicles/a/state").json()
     assert state["last_packet"]["sequence"] == 4
     assert state["durable_sequence"] == 2, "packet 3 is missing: the box must still keep it"
@@ -185,13 +159,12 @@ def test_calibration_is_kept_in_the_settings(service, admin, tenant):
 def test_removing_a_vehicle_leaves_no_row_about_it(service, admin, tenant):
     admin.put("/v1/vehicles/a", json={})
     admin.put("/v1/vehicles/b", json={})
-    t_ns = 1_800_000_000 * NS
     pks = [pk_of(service, tenant, name) for name in ("a", "b")]
     with write(service.database) as connection:
         for pk in pks:
-            packet = {"vehicle_pk": pk, "boot_id": "b", "start_t_ns": t_ns, "received_ns": t_ns, "payload": b"p"}
+            packet = {"vehicle_pk": pk, "boot_id": "b", "start_t_ns": T0, "received_ns": T0, "payload": b"p"}
             connection.execute(insert(tables.journal), [packet | {"sequence": number} for number in range(1, 2500)])
-            connection.execute(insert(tables.track_points), [track_row(pk, t_ns + second) for second in range(2500)])
+            connection.execute(insert(tables.track_points), [point_row(pk, second) for second in range(2500)])
     assert admin.delete("/v1/vehicles/a").status_code == 204
     assert admin.delete("/v1/vehicles/a").status_code == 404
     assert service.runtime.directory.resolve(tenant, "a") is None

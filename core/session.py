@@ -13,9 +13,9 @@ import numpy.typing as npt
 from core.accident.detector import ImpactDetector
 from core.accident.events import Impact, VehicleMotion
 from core.accident.paper_rule import PaperRule
-from core.accident.thresholds import DetectorThresholds, PaperThresholds
+from core.accident.thresholds import DetectorThresholds
 from core.driving.trips import Trip, TripThresholds, TripTracker
-from core.earth import gravity_mps2, radii_m
+from core.earth import STANDARD_GRAVITY_MPS2, radii_m
 from core.measurements import Measurements
 from core.navigation import state
 from core.navigation.filter import Aids, FilterConfig, NavigationFilter, Series
@@ -27,7 +27,6 @@ from core.snapshot import pack, unpack
 SNAPSHOT_VERSION: Final = 1
 RECENT_S: Final = 5.0
 """Track kept to place an impact that is decided after it began."""
-DEFAULT_GRAVITY_MPS2: Final = 9.80665
 KNOWN_MOUNTING_SD_RAD: Final = 0.01
 """Spread of a mounting that was measured: half a degree, by hand."""
 
@@ -78,7 +77,6 @@ class SessionConfig:
     filter: FilterConfig = field(default_factory=FilterConfig)
     detector: Literal["telefuse", "paper"] = "telefuse"
     impact: DetectorThresholds = field(default_factory=DetectorThresholds)
-    paper: PaperThresholds = field(default_factory=PaperThresholds)
     trips: TripThresholds = field(default_factory=TripThresholds)
 
 
@@ -108,7 +106,7 @@ class Session:
         )
         self._filter = NavigationFilter(filter_config)
         self._detector: Detector = (
-            PaperRule(config.paper) if config.detector == "paper" else ImpactDetector(config.impact)
+            PaperRule(config.impact.paper) if config.detector == "paper" else ImpactDetector(config.impact)
         )
         self._trips = TripTracker(config.trips)
         self._recent = Track(np.empty(0, np.int64), np.empty((0, len(TRACK_COLUMNS))))
@@ -120,6 +118,7 @@ class Session:
         samples = self._preparation.step(measurements, self._filter.t_ns, counts)
         aids = self._aids(measurements)
         fused = self._filter.step(samples.t_ns, samples.f_b, samples.omega_b, samples.saturated, aids)
+        # A constant, so that packets do not matter: gravity differs from it by 0.03 m/s2 at most, and upwards.
         impacts = self._detector.step(
             VehicleMotion(
                 t_ns=samples.t_ns,
@@ -128,7 +127,7 @@ class Session:
                 down_b=fused.epochs[:, :3],
                 speed_mps=fused.epochs[:, 3],
                 saturated=samples.saturated,
-                gravity_mps2=self._gravity_mps2(),
+                gravity_mps2=STANDARD_GRAVITY_MPS2,
             )
         )
         rows = _joined(self._recent, fused.track)
@@ -177,13 +176,6 @@ class Session:
         gnss: Series = (m.gnss_t_ns + shift_ns, m.gnss)
         magnetic = self._preparation.magnetic_b_ut(m.magnetic_s_ut)
         return Aids(gnss, (m.magnetometer_t_ns, magnetic), (m.speed_t_ns, m.speed_mps))
-
-    def _gravity_mps2(self) -> float:
-        """Gravity at the newest position of whole degrees, so that packets do not matter."""
-        x = self._filter.x
-        if not self._filter.aligned:
-            return DEFAULT_GRAVITY_MPS2
-        return gravity_mps2(math.radians(round(math.degrees(x[state.X_LAT]))), 0.0)
 
     @staticmethod
     def _add_counts(table: npt.NDArray[np.int64], counts: dict[str, int]) -> None:

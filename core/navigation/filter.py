@@ -7,6 +7,7 @@ between aligning and navigating, snapshots.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -146,9 +147,8 @@ class NavigationFilter:
         gnss_t, gnss = self._waiting.gnss
         speed_t, speed = self._waiting.speed
         used, used_gnss, used_speed, n_rows, stopped = kernel.run(
-            self.x, self.ti, self.p, self.ring, self._par, self._switches, self._imu_lever, self._antenna_lever,
-            t_ns, f_b, omega_b, saturated, gnss_t, gnss, speed_t, speed, epochs, out_t, out, self.counts,
-        )  # fmt: skip
+            *self.kernel_arguments(t_ns, f_b, omega_b, saturated, (gnss_t, gnss), (speed_t, speed), epochs, out_t, out)
+        )
         magnetic_t, magnetic = self._waiting.magnetic_b_ut
         later = magnetic_t > self.t_ns
         self._waiting = Aids(
@@ -163,6 +163,24 @@ class NavigationFilter:
             self._aligner.forget()
             self._evaluation_ns[0] = 0
         return used, Track(out_t[:n_rows], out[:n_rows])
+
+    def kernel_arguments(
+        self,
+        t_ns: TimeArray,
+        f_b: FloatArray,
+        omega_b: FloatArray,
+        saturated: FloatArray,
+        gnss: Series,
+        speed: Series,
+        epochs: FloatArray,
+        out_t_ns: TimeArray,
+        out: FloatArray,
+    ) -> tuple[Any, ...]:
+        """The state and these samples in the order of ``kernel.run``."""
+        return (
+            self.x, self.ti, self.p, self.ring, self._par, self._switches, self._imu_lever, self._antenna_lever,
+            t_ns, f_b, omega_b, saturated, *gnss, *speed, epochs, out_t_ns, out, self.counts,
+        )  # fmt: skip
 
     # Aligning
 

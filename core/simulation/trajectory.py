@@ -44,7 +44,7 @@ class Suspension(Tunables):
         0.0089, unit="rad/(m/s2)", low=0.0, high=0.03, source="5 deg/g; cars 3-7 deg/g (Gillespie 1992, ch. 6)"
     )
     pitch_rad_per_mps2: float = tunable(
-        0.0053, unit="rad/(m/s2)", low=0.0, high=0.03, source="3 deg/g, choice within what cars show under braking"
+        0.0036, unit="rad/(m/s2)", low=0.0, high=0.03, source="2 deg/g: choice, a firm car's dive under braking"
     )
     wheelbase_m: float = tunable(2.6, unit="m", low=1.5, high=5.0, source="compact car")
 

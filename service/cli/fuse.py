@@ -1,0 +1,98 @@
+"""``telefuse fuse``: post-process a drive folder with the very filter that the service streams through."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from core.navigation.track import Track
+from service.cli.drives import add_drive, fuse_with_progress, open_drive
+from service.errors import UsageError
+from service.recordings.exporters import TrackFile, check_ending, export_track
+from service.recordings.fusing import Outage, figures
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    add_drive(parser)
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="trajectory to write: .csv, .csv.gz, .geojson, .gpx, .kml or .parquet"
+    )
+    parser.add_argument(
+        "--outage",
+        action="append",
+        default=[],
+        metavar="START:DURATION",
+        help="withhold GNSS for that span, in seconds of the drive, and tell the error in it; may be repeated",
+    )
+    parser.add_argument("--every", type=float, default=0.0, metavar="S", help="thin the rows to one each S seconds")
+    parser.add_argument("--no-nhc", action="store_true", help="without non-holonomic constraints")
+    parser.add_argument("--no-zupt", action="store_true", help="without zero-velocity updates")
+    parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Fuse, write the trajectory, print the figures."""
+    if not (math.isfinite(arguments.every) and 0.0 <= arguments.every <= 60.0):
+        raise UsageError(f"--every {arguments.every:g}: expected 0 (every sample) to 60 s")
+    out: Path | None = arguments.out
+    if out is not None:
+        check_ending(out)
+    outages = [Outage.parse(text) for text in arguments.outage]
+    drive, config = open_drive(
+        arguments,
+        every_s=arguments.every,
+        non_holonomic=not arguments.no_nhc,
+        zero_velocity=not arguments.no_zupt,
+    )
+    span_s = float(drive.measurements.imu_t_ns[-1] - drive.start_t_ns) * 1e-9
+    for outage in outages:
+        if outage.start_s >= span_s:
+            raise UsageError(
+                f"outage {outage.start_s:g}:{outage.duration_s:g} begins after the drive's end at {span_s:g} s"
+            )
+    fused = fuse_with_progress(drive, config, outages)
+    track = fused.track
+    placed = [index for index in range(len(track.t_ns)) if math.isfinite(track.values[index, 0])]
+    if out is not None:
+        export_track(out, TrackFile(Track(track.t_ns[placed], track.values[placed]), drive.start_t_ns, drive.name))
+    found = figures(drive, fused, outages) | {"out": None if out is None else str(out)}
+    print(json.dumps(found, default=float) if arguments.json else _text(drive.name, found))
+    return 0
+
+
+def _text(name: str, found: dict[str, Any]) -> str:
+    lines = [
+        f"{name}: {found['duration_s']:.0f} s, {found['epochs']} samples, {found['ns_per_epoch']:.0f} ns each",
+        "never aligned: no heading could be found"
+        if found["aligned_after_s"] is None
+        else f"aligned after {found['aligned_after_s']:.1f} s",
+    ]
+    if found["against"] is not None:
+        rms = found["position_rms_m"] if found["against"] == "reference" else found["gnss_rms_m"]
+        lines.append(f"horizontal error against {found['against']}: {rms:.2f} m RMS")
+    if found.get("position_rms_offset_removed_m") is not None:
+        north, east, down = found["offset_ned_m"]
+        lines.append(
+            f"  constant offset north {north:.2f}, east {east:.2f}, down {down:.2f} m; without it"
+            f" {found['position_rms_offset_removed_m']:.2f} m RMS"
+        )
+    if found.get("yaw_rms_deg") is not None:
+        lines.append(f"heading error: {found['yaw_rms_deg']:.2f}° RMS")
+    for outage in found["outages"]:
+        span = f"outage {outage['start_s']:g} s + {outage['duration_s']:g} s"
+        if outage["rms_m"] is None:
+            lines.append(f"{span}: nothing to compare with")
+        else:
+            lines.append(
+                f"{span}: {outage['rms_m']:.2f} m RMS, {outage['end_m']:.2f} m at its end,"
+                f" {outage['max_m']:.2f} m at most, over {outage['distance_m']:.0f} m, against {outage['against']}"
+            )
+    for aid, outcomes in found["aids"].items():
+        lines.append(f"  {aid}: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
+    if found["out"]:
+        lines.append(f"written: {found['out']}")
+    return "\n".join(lines)

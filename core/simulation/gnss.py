@@ -9,9 +9,10 @@ import numpy as np
 
 from core.earth import radii_m
 from core.measurements import GNSS, GNSS_COLUMNS, FloatArray
+from core.sensors import Triple
 from core.simulation.route import Sky, SkySpan
 from core.simulation.sensors import gauss_markov
-from core.simulation.trajectory import Trajectory
+from core.simulation.trajectory import Trajectory, matrices_b_from_n, rotate
 from core.tunables import Tunables, tunable
 
 _UBLOX7 = "u-blox 7, CEP 2.5 m, velocity 0.1 m/s (data sheet UBX-12007115)"
@@ -41,7 +42,7 @@ def measure_gnss(
     truth: Trajectory,
     sky: tuple[SkySpan, ...],
     receiver: Receiver,
-    lever_arm_b_m: tuple[float, float, float],
+    lever_arm_b_m: Triple,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
     """Times (m,) and rows (m, len(GNSS_COLUMNS)) of fixes: none under a tunnel, poor ones between houses.
@@ -79,6 +80,7 @@ def measure_gnss(
     velocity = np.column_stack([np.interp(t_s, truth.t_s, truth.v_n[:, i] + antenna_v_n[:, i]) for i in range(3)])
     meridian, transverse = np.array([radii_m(lat) for lat in at[0]]).T
 
+    # Choices within what receivers show: 9-12 satellites at HDOP about 1 in the open, 5-7 and worse in a street.
     satellites = np.where(canyon, rng.integers(5, 8, n), rng.integers(9, 13, n)).astype(float)
     hdop = np.where(canyon, 1.8 + 1.4 * rng.random(n), 0.9 + 0.3 * rng.random(n))
     rows = np.full((n, len(GNSS_COLUMNS)), np.nan)
@@ -91,6 +93,7 @@ def measure_gnss(
     stated = np.hypot(receiver.stated_sd_m, depth * receiver.multipath_sd_m / 2)
     rows[:, GNSS["sd_h_m"]] = np.round(stated, 2)
     rows[:, GNSS["sd_v_m"]] = np.round(stated * receiver.vertical_ratio, 2)
+    # Of velocity it is a little pessimistic, and never claims better than 0.02 m/s.
     rows[:, GNSS["sd_v_mps"]] = np.round(1.3 * velocity_sd + 0.02, 3)
     rows[:, GNSS["hdop"]] = np.round(hdop, 2)
     rows[:, GNSS["vdop"]] = np.round(hdop * receiver.vertical_ratio, 2)
@@ -99,17 +102,8 @@ def measure_gnss(
     return t_s[seen], rows[seen]
 
 
-def _lever(truth: Trajectory, arm_b: tuple[float, float, float]) -> tuple[FloatArray, FloatArray]:
+def _lever(truth: Trajectory, arm_b_m: Triple) -> tuple[FloatArray, FloatArray]:
     """Where the antenna is against the box and how fast it moves round it, NED, (n, 3) each."""
-    roll, pitch, yaw = truth.rpy_rad.T
-    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-
-    def turn(x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
-        x1, z1 = x, sr * y + cr * z
-        y1 = cr * y - sr * z
-        x2, z2 = cp * x1 + sp * z1, -sp * x1 + cp * z1
-        return np.column_stack([cy * x2 - sy * y1, sy * x2 + cy * y1, z2])
-
-    x, y, z = (np.full(truth.t_s.size, value) for value in arm_b)
-    p, q, r = truth.omega_b.T
-    return turn(x, y, z), turn(q * z - r * y, r * x - p * z, p * y - q * x)
+    C_n_from_b = matrices_b_from_n(truth.rpy_rad).transpose(0, 2, 1)
+    arm_b = np.broadcast_to(np.array(arm_b_m), truth.omega_b.shape)
+    return rotate(C_n_from_b, arm_b), rotate(C_n_from_b, np.cross(truth.omega_b, arm_b))

@@ -269,7 +269,8 @@ def _truth(t_s: FloatArray, motion: _Motion, states: FloatArray, heave_accel: Fl
     v_n_dot[:, 2] -= heave_accel
     roll, pitch, yaw = states[:, _ROLL], states[:, _PITCH] + motion.grade, motion.heading
     roll_rate, pitch_rate = states[:, _ROLL_RATE], states[:, _PITCH_RATE] + motion.grade_rate
-    C_b_from_n = _matrices_b_from_n(roll, pitch, yaw)
+    rpy = np.column_stack([roll, pitch, wrap_angle_rad(yaw)])
+    C_b_from_n = matrices_b_from_n(rpy)
 
     meridian, transverse, gravity = _earth_at(lat, alt)
     omega_ie_n = EARTH_RATE_RADPS * np.column_stack([np.cos(lat), np.zeros_like(lat), -np.sin(lat)])
@@ -291,14 +292,16 @@ def _truth(t_s: FloatArray, motion: _Motion, states: FloatArray, heave_accel: Fl
         lon_rad=lon,
         alt_m=alt,
         v_n=v_n,
-        rpy_rad=np.column_stack([roll, pitch, wrap_angle_rad(yaw)]),
-        f_b=_rotate(C_b_from_n, f_n),
-        omega_b=omega_nb_b + _rotate(C_b_from_n, omega_ie_n + omega_en_n),
+        rpy_rad=rpy,
+        f_b=rotate(C_b_from_n, f_n),
+        omega_b=omega_nb_b + rotate(C_b_from_n, omega_ie_n + omega_en_n),
     )
 
 
-def _matrices_b_from_n(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
-    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+def matrices_b_from_n(rpy_rad: FloatArray) -> FloatArray:
+    """Rotations from navigation to body axes, (n, 3, 3), of roll, pitch and yaw (n, 3)."""
+    cr, cp, cy = np.cos(rpy_rad).T
+    sr, sp, sy = np.sin(rpy_rad).T
     rows = [
         [cp * cy, cp * sy, -sp],
         [sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, sr * cp],
@@ -307,5 +310,6 @@ def _matrices_b_from_n(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> 
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def _rotate(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+def rotate(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Each matrix (n, 3, 3) times its vector (n, 3)."""
     return np.asarray(np.einsum("nij,nj->ni", matrices, vectors))

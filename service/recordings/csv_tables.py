@@ -19,6 +19,8 @@ from service.errors import RecordingError
 NS_PER_S: Final = 1_000_000_000
 _MAX_ABS_TIME_S: Final = 1e9
 """A drive's own clock may start anywhere, but not 30 years off: that is a wrong unit."""
+_BLOCK_ROWS: Final = 50_000
+"""Rows written at a time, so that a drive of hours needs little memory."""
 _EMPTY_CELL: Final = re.compile(r"(?:^|(?<=,))[ \t]*(?=,|$)", re.MULTILINE)
 
 
@@ -69,8 +71,11 @@ def times_ns(t_s: FloatArray, start_t_ns: int) -> TimeArray:
 def format_table(columns: Mapping[str, tuple[npt.ArrayLike, str]]) -> str:
     """A table as CSV text: each column with its ``%`` format; NaN gives an empty cell."""
     template = ",".join(style for _, style in columns.values())
-    rows = zip(*(np.asarray(values).tolist() for values, _ in columns.values()), strict=True)
-    lines = [",".join(columns), *(template % row for row in rows)]
+    series = [np.asarray(values) for values, _ in columns.values()]
+    lines = [",".join(columns)]
+    for first in range(0, len(series[0]), _BLOCK_ROWS):
+        rows = zip(*(values[first : first + _BLOCK_ROWS].tolist() for values in series), strict=True)
+        lines += [template % row for row in rows]
     return re.sub(r"(?<=[,\n])nan(?=[,\n])", "", "\n".join(lines) + "\n")
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidInputError
+from core.simulation import roads
 from core.simulation.scenarios import SCENARIOS, SimulatedDrive, simulate
 
 
@@ -101,11 +102,14 @@ def test_a_longer_demo_drives_more_streets_and_still_crashes_20_s_into_the_tunne
     assert len(drive.truth["accidents"]) == 2
 
 
-def test_over_three_hours_of_crashes_the_series_has_more_than_20() -> None:
-    drive = simulate("crash_series", seed=1, duration_s=3.5 * 3600.0, rate_hz=20.0)
-    assert len(drive.truth["accidents"]) > 20
-    assert max(one["speed_before_mps"] for one in drive.truth["accidents"]) < 20.0
-    assert {one["severity"] for one in drive.truth["accidents"]} == {"low_speed", "severe"}
+def test_over_three_and_a_half_hours_the_series_has_more_than_20_crashes_of_both_kinds() -> None:
+    route = roads.crash_series(np.random.default_rng(1), 3.5 * 3600.0)
+    assert len(route.crashes) > 20
+    assert {crash.severity for _, crash in route.crashes} == {"low_speed", "severe"}
+    times = np.array([t for t, _ in route.crashes])
+    speed = route.forward_by_tyres.at(times)[0] + route.forward_by_impacts.at(times)[0]
+    assert speed.max() < 20.0
+    assert np.diff(times).min() > 60.0
 
 
 @pytest.mark.parametrize(

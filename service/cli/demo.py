@@ -40,7 +40,11 @@ def run(arguments: argparse.Namespace) -> int:
     boxes = simulated_boxes() if arguments.drive is None else recorded_boxes(read_drive(arguments.drive))
     with _data_dir(arguments.data_dir) as data_dir, AlertReceiver() as receiver:
         service = ServiceProcess(
-            data_dir, *default_ports(), log_level="warning", dangerous_allow_private_webhook_targets="true"
+            data_dir,
+            *default_ports(),
+            log_level="warning",
+            retention_track_days="0",  # drives may be of years ago
+            dangerous_allow_private_webhook_targets="true",
         )
         say = _Teller(quiet=arguments.json)
         try:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sqlalchemy import Engine as Database
 from sqlalchemy import select, text
 
 from core.accident.events import Impact, Severity
@@ -95,9 +96,8 @@ class SummingFold:
 class Bench:
     """A database with vehicles and a journal, and engines over it as a service would start them."""
 
-    def __init__(self, url: str) -> None:
-        self.database = open_database(url)
-        schema.upgrade(self.database)
+    def __init__(self, database: Database) -> None:
+        self.database = database
         self.directory = VehicleDirectory(self.database, open_registration=True)
         self.told: list[tuple[str, dict[str, Any]]] = []
         self.states: list[dict[str, Any]] = []
@@ -127,7 +127,7 @@ class Bench:
             self.database,
             self.directory,
             self.metrics,
-            config=EngineConfig(**{"workers": 2, **config}),
+            config=EngineConfig(**{"workers": 2, "idle_s": 3600.0, **config}),
             session_factory=factory,
             on_event=lambda ref, event: self.told.append((ref.vehicle_id, dict(event))),
             on_state=lambda _ref, state: self.states.append(dict(state)),
@@ -153,10 +153,17 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    bench = Bench(f"sqlite:///{tmp_path / 'engine.db'}")
-    yield bench
-    bench.database.dispose()
+def bench(database: Database) -> Bench:
+    return Bench(database)
+
+
+@pytest.fixture
+def other(tmp_path: Path) -> Iterator[Bench]:
+    """A second database, for what must come out the same."""
+    database = open_database(f"sqlite:///{tmp_path / 'other.db'}")
+    schema.upgrade(database)
+    yield Bench(database)
+    database.dispose()
 
 
 def run(bench: Bench, entries: list[JournalEntry], **config: Any) -> Engine:
@@ -205,32 +212,28 @@ def test_packets_become_track_trips_accidents_events_and_deliveries(bench: Bench
     assert 'telefuse_session_rejections_total{aid="gnss_position",outcome="rejected_gate"} 12.0' in bench.exposition()
 
 
-def test_a_packet_out_of_order_waits_its_turn_and_one_sent_twice_counts_once(bench: Bench, tmp_path: Path) -> None:
+def test_a_packet_out_of_order_waits_its_turn_and_one_sent_twice_counts_once(bench: Bench, other: Bench) -> None:
     packets = drive(bench.vehicle("car-1"))
     run(bench, bench.journal(*packets))
-    other = Bench(f"sqlite:///{tmp_path / 'other.db'}")
     packets = drive(other.vehicle("car-1"))
     entries = other.journal(*[packets[n] for n in (0, 2, 4, 1, 3, 5, 7, 6, 8, 10, 9, 11)])
     for part in (entries[:2], entries[:5], entries[5:], entries):  # told again, as after a commit in doubt
         run(other, part)
     assert other.stored() == bench.stored()
-    other.database.dispose()
 
 
 @pytest.mark.parametrize("kept", [0, 3, 7, 8, 12])
 @pytest.mark.parametrize("interval_s", [1.0, 5.0, 3600.0])
-def test_a_killed_engine_repeats_work_and_no_effect(bench: Bench, tmp_path: Path, kept: int, interval_s: float) -> None:
+def test_a_killed_engine_repeats_work_and_no_effect(bench: Bench, other: Bench, kept: int, interval_s: float) -> None:
     run(bench, bench.journal(*drive(bench.vehicle("car-1"))))
-    killed = Bench(f"sqlite:///{tmp_path / 'killed.db'}")
-    entries = killed.journal(*drive(killed.vehicle("car-1")))
-    first = killed.engine(checkpoint_interval_s=interval_s)
+    entries = other.journal(*drive(other.vehicle("car-1")))
+    first = other.engine(checkpoint_interval_s=interval_s)
     first.start()
     first.submit(entries[:kept])
     assert first.drain(WAIT_S)  # then it is gone: no stop, no last checkpoint, the rest never delivered
-    run(killed, [], checkpoint_interval_s=interval_s)
-    assert killed.stored() == bench.stored()
-    assert len({event["id"] for _, event in killed.told}) == len(killed.told) == 2
-    killed.database.dispose()
+    run(other, [], checkpoint_interval_s=interval_s)
+    assert other.stored() == bench.stored()
+    assert len({event["id"] for _, event in other.told}) == len(other.told) == 2
 
 
 @pytest.mark.parametrize("kept", [7, 9, 12])
@@ -252,36 +255,45 @@ def test_an_accident_that_turns_out_worse_is_told_again_and_keeps_its_place(benc
     assert [update["data"]["accident_id"] for update in updates] == [accident[0]]
 
 
-def test_recovery_comes_before_what_is_submitted_after_it(bench: Bench, tmp_path: Path) -> None:
+def test_postgresql_holds_the_same_to_the_bit(bench: Bench, postgres_database: Database) -> None:
     run(bench, bench.journal(*drive(bench.vehicle("car-1"))))
-    late = Bench(f"sqlite:///{tmp_path / 'late.db'}")
-    entries = late.journal(*drive(late.vehicle("car-1")))
-    engine = late.engine()
+    other = Bench(postgres_database)
+    entries = other.journal(*drive(other.vehicle("car-1")))
+    first = other.engine(checkpoint_interval_s=5.0)
+    first.start()
+    first.submit(entries[:8])
+    assert first.drain(WAIT_S)
+    run(other, [], checkpoint_interval_s=5.0)
+    assert other.stored() == bench.stored()
+    first.stop()
+
+
+def test_recovery_comes_before_what_is_submitted_after_it(bench: Bench, other: Bench) -> None:
+    run(bench, bench.journal(*drive(bench.vehicle("car-1"))))
+    entries = other.journal(*drive(other.vehicle("car-1")))
+    engine = other.engine()
     assert engine.recover() == 12
     engine.submit(entries[10:])
     engine.start()
     assert engine.drain(WAIT_S)
     engine.stop()
-    assert late.stored() == bench.stored()
-    late.database.dispose()
+    assert other.stored() == bench.stored()
 
 
-def test_many_vehicles_in_little_memory_give_the_same(bench: Bench, tmp_path: Path) -> None:
+def test_many_vehicles_in_little_memory_give_the_same(bench: Bench, other: Bench) -> None:
     def fleet(bench: Bench) -> list[JournalEntry]:
         drives = [drive(bench.vehicle(f"car-{n}"), crash_at=n + 1) for n in range(8)]
         return bench.journal(*(packet for second in zip(*drives, strict=True) for packet in second))
 
     run(bench, fleet(bench))
-    small = Bench(f"sqlite:///{tmp_path / 'small.db'}")
-    entries = fleet(small)
-    engine = small.engine(max_sessions=2, max_held_packets=6, packets_per_vehicle=2, packets_per_commit=4)
+    entries = fleet(other)
+    engine = other.engine(max_sessions=2, max_held_packets=6, packets_per_vehicle=2, packets_per_commit=4)
     engine.start()
     for start in range(0, len(entries), 16):
         engine.submit(entries[start : start + 16])
     assert engine.drain(WAIT_S)
     engine.stop()
-    assert small.stored() == bench.stored()
-    small.database.dispose()
+    assert other.stored() == bench.stored()
 
 
 def test_a_session_that_raises_stops_no_other_and_its_packets_are_used_after_a_restart(bench: Bench) -> None:
@@ -307,14 +319,13 @@ def test_a_session_that_raises_stops_no_other_and_its_packets_are_used_after_a_r
     assert sum(row[0] == poisoned.pk for row in bench.stored()["track_points"]) == 5
 
 
-def test_nothing_is_lost_and_no_packet_used_twice_while_the_database_fails(bench: Bench, tmp_path: Path) -> None:
+def test_nothing_is_lost_and_no_packet_used_twice_while_the_database_fails(bench: Bench, other: Bench) -> None:
     run(bench, bench.journal(*drive(bench.vehicle("car-1"))))
-    broken = Bench(f"sqlite:///{tmp_path / 'broken.db'}")
-    entries = broken.journal(*drive(broken.vehicle("car-1")))
-    with write(broken.database) as connection:
+    entries = other.journal(*drive(other.vehicle("car-1")))
+    with write(other.database) as connection:
         connection.execute(text("ALTER TABLE track_points RENAME TO away"))
     warned = threading.Event()
-    engine = broken.engine()
+    engine = other.engine()
     engine.start()
 
     class Watch(logging.Handler):
@@ -326,12 +337,11 @@ def test_nothing_is_lost_and_no_packet_used_twice_while_the_database_fails(bench
     engine.submit(entries)
     assert warned.wait(WAIT_S)
     logging.getLogger("service.engine.shard").removeHandler(handler)
-    with write(broken.database) as connection:
+    with write(other.database) as connection:
         connection.execute(text("ALTER TABLE away RENAME TO track_points"))
     assert engine.drain(WAIT_S)
     engine.stop()
-    assert broken.stored() == bench.stored()
-    broken.database.dispose()
+    assert other.stored() == bench.stored()
 
 
 def test_a_removed_vehicle_takes_nothing_with_it(bench: Bench) -> None:

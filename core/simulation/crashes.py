@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from core.accident.severity import classify
+from core.accident.thresholds import SeverityThresholds
 from core.errors import InvalidInputError
 from core.simulation.shapes import Shape, peak_rate
-
-SEVERE_FROM_MPS: Final = 7.0
-"""A change of velocity from which an accident is severe (seed 1: 7-12 m/s within 1 s), m/s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +68,8 @@ class Crash:
 
     @property
     def severity(self) -> str:
-        """Class of the seed by the change of velocity: ``low_speed`` or ``severe``."""
-        return "severe" if self.delta_v_mps >= SEVERE_FROM_MPS else "low_speed"
+        """Class of the seed, by the very rule that detectors use."""
+        return classify(self.delta_v_mps, self.duration_s, SeverityThresholds()).value
 
 
 GLANCING: Final = Crash(delta_v_mps=3.6, pdof_deg=35.0, duration_s=0.3, shape=Shape.HALF_SINE, yaw_deg=-9.0)
@@ -83,7 +82,7 @@ STRUCK_AT_REST: Final = Crash(delta_v_mps=3.2, pdof_deg=180.0, duration_s=0.11, 
 """Low-speed, from behind while standing: peak 5.9 g."""
 
 SEVERE_FRONTAL: Final = Crash(delta_v_mps=10.2, pdof_deg=352.0, duration_s=0.14, shape=Shape.HAVERSINE, yaw_deg=14.0)
-"""Severe, frontal with a little from the left: peak 15 g, which clips a 2 g sensor and not a 16 g one."""
+"""Severe, and fast enough for airbags: frontal, a little from the left; peak 15 g clips a 2 g sensor, not a 16 g one."""
 
 SEVERE_SIDE: Final = Crash(delta_v_mps=8.0, pdof_deg=78.0, duration_s=0.14, shape=Shape.TRIANGLE, yaw_deg=-55.0)
 """Severe, from the right in a crossing: peak 11.7 g."""

@@ -28,7 +28,7 @@ def test_the_demo_has_a_low_speed_crash_and_a_severe_one_20_s_into_a_tunnel(demo
     assert low["severity"] == "low_speed"
     assert not low["in_outage"]
     assert 3.0 <= low["delta_v_mps"] <= 6.5
-    assert severe["severity"] == "severe"
+    assert severe["severity"] == "airbag"  # 10.2 m/s in 0.14 s: both of the seed's upper classes, the faster is told
     assert severe["in_outage"]
     assert 7.0 <= severe["delta_v_mps"] <= 12.0
     assert severe["t_s"] - tunnel["start_s"] == pytest.approx(20.0, abs=0.01)
@@ -105,7 +105,9 @@ def test_a_longer_demo_drives_more_streets_and_still_crashes_20_s_into_the_tunne
 def test_over_three_and_a_half_hours_the_series_has_more_than_20_crashes_of_both_kinds() -> None:
     route = roads.crash_series(np.random.default_rng(1), 3.5 * 3600.0)
     assert len(route.crashes) > 20
-    assert {crash.severity for _, crash in route.crashes} == {"low_speed", "severe"}
+    classes = {crash.severity for _, crash in route.crashes}
+    assert "low_speed" in classes
+    assert classes & {"severe", "airbag"}
     times = np.array([t for t, _ in route.crashes])
     speed = route.forward_by_tyres.at(times)[0] + route.forward_by_impacts.at(times)[0]
     assert speed.max() < 20.0

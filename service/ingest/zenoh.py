@@ -53,6 +53,7 @@ class ZenohIngest:
         self._on_presence = on_presence
         self._session: zenoh.Session | None = None
         self._subscriber: zenoh.Subscriber[None] | None = None
+        self._presence: zenoh.Subscriber[None] | None = None
         self._publisher: Publisher | None = None
         self._queue: queue.Queue[tuple[str, zenoh.ZBytes] | None] = queue.Queue(QUEUE_LIMIT)
         self._thread = threading.Thread(target=self._drain, name="zenoh-ingest", daemon=True)
@@ -77,7 +78,9 @@ class ZenohIngest:
         self._publisher = Publisher(self._session)
         self._thread.start()
         self._subscriber = self._session.declare_subscriber(f"{KEY_ROOT}/*/*/*/telemetry", self._on_packet)
-        self._session.liveliness().declare_subscriber(f"{KEY_ROOT}/*/*/*/alive", self._on_alive, history=True)
+        self._presence = self._session.liveliness().declare_subscriber(
+            f"{KEY_ROOT}/*/*/*/alive", self._on_alive, history=True
+        )
 
     def stop(self) -> None:
         """Take no more, tell what is decided, and close. Packets not taken stay with their boxes."""

@@ -82,7 +82,7 @@ STRUCK_AT_REST: Final = Crash(delta_v_mps=3.2, pdof_deg=180.0, duration_s=0.11, 
 """Low-speed, from behind while standing: peak 5.9 g."""
 
 SEVERE_FRONTAL: Final = Crash(delta_v_mps=10.2, pdof_deg=352.0, duration_s=0.14, shape=Shape.HAVERSINE, yaw_deg=14.0)
-"""Severe, and fast enough for airbags: frontal, a little from the left; peak 15 g clips a 2 g sensor, not a 16 g one."""
+"""Severe, and fast enough for airbags: frontal, slightly left; peak 15 g clips a 2 g sensor, not a 16 g one."""
 
 SEVERE_SIDE: Final = Crash(delta_v_mps=8.0, pdof_deg=78.0, duration_s=0.14, shape=Shape.TRIANGLE, yaw_deg=-55.0)
 """Severe, from the right in a crossing: peak 11.7 g."""

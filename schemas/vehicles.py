@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from schemas.times import Time
 
-VEHICLE_ID_PATTERN: Final = r"^[A-Za-z0-9][A-Za-z0-9._:+-]{0,127}$"
+VEHICLE_ID_PATTERN: Final = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}$"
 """``schemas.keys.is_name`` as a pattern, for the OpenAPI document; a test holds the two together."""
 
 VehicleId = Annotated[str, StringConstraints(pattern=VEHICLE_ID_PATTERN)]

@@ -15,6 +15,7 @@ from service.api.middleware import BodyLimit, RequestContext
 from service.api.openapi import document
 from service.api.security import Authenticator
 from service.ingest.http import ingest_routes
+from service.ingest.http_openapi import ingest_paths
 from service.runtime import Runtime
 from service.settings import Settings
 from service.storage import tenants
@@ -74,7 +75,7 @@ def _operation_id(route: APIRoute) -> str:
 def _describe_by(app: FastAPI) -> None:
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
-            app.openapi_schema = document(app, {})
+            app.openapi_schema = document(app, ingest_paths())
         return app.openapi_schema
 
     app.openapi = openapi  # type: ignore[method-assign]

@@ -36,9 +36,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Start a service, let two boxes send, judge; then serve on until it is interrupted, unless told to end."""
-    signal.signal(signal.SIGTERM, _end)
-    boxes = simulated_boxes() if arguments.drive is None else recorded_boxes(read_drive(arguments.drive))
-    with _data_dir(arguments.data_dir) as data_dir, AlertReceiver() as receiver:
+    with _ending_cleanly(), _data_dir(arguments.data_dir) as data_dir, AlertReceiver() as receiver:
+        boxes = simulated_boxes() if arguments.drive is None else recorded_boxes(read_drive(arguments.drive))
         service = ServiceProcess(
             data_dir,
             *default_ports(),
@@ -76,8 +75,18 @@ def _data_dir(asked: Path | None) -> Iterator[Path]:
     yield asked
 
 
-def _end(_number: int, _frame: FrameType | None) -> NoReturn:
-    raise SystemExit(128 + signal.SIGTERM)
+@contextmanager
+def _ending_cleanly() -> Iterator[None]:
+    """Let SIGTERM unwind the stack, so that the service does not outlive the demo."""
+
+    def end(_number: int, _frame: FrameType | None) -> NoReturn:
+        raise SystemExit(128 + signal.SIGTERM)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 class _Teller:

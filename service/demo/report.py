@@ -51,7 +51,8 @@ def table(result: Result, boxes: Sequence[Box]) -> str:
         f"lost {result.lost}"
     )
     sections.append(
-        f"Webhooks\n  {result.events} events, {result.delivered} delivered, {result.verified} with a valid signature"
+        f"Webhooks\n  {result.events} sent (a ping among them), {result.delivered} delivered, "
+        f"{result.verified} with a valid signature"
     )
     sections.append("Scores\n  none yet: this version does not score driving")
     short = result.shortfalls()
@@ -115,7 +116,7 @@ def _invented(result: Result) -> str:
     for one in result.invented:
         facts = one["properties"]
         rows.append((facts["vehicle_id"], facts["time"], facts["severity"], f"{facts['confidence']:.2f}"))
-    return "Accidents that never were\n" + _columns(rows)
+    return "Accidents found where none was\n" + _columns(rows)
 
 
 def _tunnels(result: Result) -> str:

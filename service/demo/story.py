@@ -84,10 +84,10 @@ def play(
             client.post("/v1/webhook-endpoints", json={"url": receiver.url, "description": "the demo's own receiver"})
         )
         receiver.secret = endpoint["secret"]
+        ping = _checked(client.post(f"/v1/webhook-endpoints/{endpoint['id']}:test"))
         figures = send_all(boxes, service, progress)
         processed = _wait_processed(client, sum(one.acknowledged for one in figures))
-        events = _all_events(client)
-        wanted = {event["id"] for event in events}
+        wanted = {ping["event_id"], *(event["id"] for event in _all_events(client))}
         alerts = receiver.wait_until(lambda came: wanted <= {one.id for one in came}, DELIVERED_WITHIN_S)
         return _judge(client, boxes, figures, processed, len(wanted), alerts, started_s)
 

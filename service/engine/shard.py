@@ -8,7 +8,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any, Final, TypeVar
 
@@ -68,7 +68,12 @@ class EngineConfig:
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What the shards of an engine share."""
+    """What the shards of an engine share.
+
+    One interpreter computes in one thread at a time. Taking turns at ``folding``, a batch each, costs less
+    than fighting for the interpreter at every compiled call (two shards: 4.1 against 2.7 thousand packets
+    a second), and a shard still folds while another waits for the disk.
+    """
 
     database: Database
     directory: VehicleDirectory
@@ -78,6 +83,7 @@ class Context:
     session_factory: SessionFactory
     on_event: Tell
     on_state: Tell
+    folding: threading.Lock = field(default_factory=threading.Lock)
 
 
 class _StoppedError(Exception):
@@ -145,7 +151,8 @@ class Shard(threading.Thread):
 
     def _turn(self) -> None:
         work = self.inbox.take(self._config.packets_per_vehicle, self._config.packets_per_commit)
-        batch = [effects for item in work if (effects := self._fold(item)) is not None]
+        with self._context.folding:
+            batch = [effects for item in work if (effects := self._fold(item)) is not None]
         leaving = self._leaving({effects.ref.pk for effects in batch})
         batch += self._checkpoints(leaving, _CHECKPOINTS_PER_COMMIT)
         for effects, events in self._store(batch):

@@ -297,3 +297,21 @@ def test_rows_that_a_failed_commit_left_behind_are_handed_on(setup: Setup) -> No
     (again,) = results([running.submit(setup.packet(2))])
     assert (again.status, again.durable_sequence) == ("duplicate", 2)
     assert [entry.sequence for entry in setup.delivered.entries][-1] == 2
+
+
+def test_postgresql_keeps_the_same_order_and_outcomes(postgres_database: Engine) -> None:
+    ref = VehicleDirectory(postgres_database, open_registration=True).resolve("default", "car-1")
+    assert ref is not None
+    delivered = Delivered()
+    running = Journal(postgres_database, delivered)
+    running.start()
+    try:
+        offered = [1, 2, 2, *range(4, 200), 3]
+        packets = [Incoming(ref, "a", n, T0_NS + n * SECOND_NS // 100, 0, str(n).encode()) for n in offered]
+        outcomes = results([running.submit(one) for one in packets])
+        assert [outcome.status for outcome in outcomes].count("duplicate") == 1
+        assert outcomes[-1].durable_sequence == 199
+        assert [entry.payload for entry in running.read(ref.pk, 0)] == [entry.payload for entry in delivered.entries]
+        assert [entry.sequence for entry in delivered.entries] == [1, 2, *range(4, 200), 3]
+    finally:
+        running.stop()

@@ -15,10 +15,12 @@ import httpx
 import pytest
 import sqlalchemy
 import uvicorn
+from fastapi import FastAPI
 from sqlalchemy import Engine
 from sqlalchemy.engine import make_url
 
 from service.app import create_app
+from service.cli.serve import server_config
 from service.runtime import Runtime
 from service.settings import ENV_PREFIX, Settings
 from service.storage import keys, schema, tenants
@@ -103,6 +105,7 @@ def any_database(request):
 class RunningService:
     """A service on a free port of this machine, with what a test may look at behind it."""
 
+    app: FastAPI
     runtime: Runtime
     url: str
 
@@ -125,7 +128,8 @@ class RunningService:
 def run_service(settings: Settings):
     """Serve as ``telefuse serve`` does, in a thread; stops gracefully at the end."""
     runtime = Runtime(settings)
-    server = uvicorn.Server(uvicorn.Config(create_app(settings, runtime), log_config=None, lifespan="on"))
+    app = create_app(settings, runtime)
+    server = uvicorn.Server(server_config(app))
     listener = socket.create_server(("127.0.0.1", 0))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
@@ -133,7 +137,7 @@ def run_service(settings: Settings):
         while not server.started:
             assert thread.is_alive(), "the service did not start; its log says why"
             thread.join(0.01)
-        yield RunningService(runtime, f"http://127.0.0.1:{listener.getsockname()[1]}")
+        yield RunningService(app, runtime, f"http://127.0.0.1:{listener.getsockname()[1]}")
     finally:
         server.should_exit = True
         thread.join()

@@ -10,6 +10,7 @@ from types import FrameType
 from typing import Final
 
 import uvicorn
+from fastapi import FastAPI
 
 from service import settings
 from service.app import create_app
@@ -46,19 +47,7 @@ def serve(chosen: Settings) -> None:
     """Run the service; raises ServiceError where it cannot start."""
     listener = _listen(chosen.http_host, chosen.http_port)
     app = create_app(chosen, Runtime(chosen))
-    server = _Server(
-        uvicorn.Config(
-            app,
-            http="httptools",
-            loop="uvloop",
-            lifespan="on",
-            log_config=None,
-            access_log=False,
-            server_header=False,
-            timeout_graceful_shutdown=GRACEFUL_S,
-        ),
-        chosen,
-    )
+    server = _Server(server_config(app), chosen)
     # uvicorn stops at a signal and then raises it again for whoever handled it before: that it was asked to
     # stop and did is no failure, so nobody should.
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -72,6 +61,20 @@ def serve(chosen: Settings) -> None:
         if isinstance(error, ServiceError):
             raise error
         raise UsageError(f"the service could not start: {error or 'see the log'}")
+
+
+def server_config(app: FastAPI) -> uvicorn.Config:
+    """How the application is served."""
+    return uvicorn.Config(
+        app,
+        http="httptools",
+        loop="uvloop",
+        lifespan="on",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=GRACEFUL_S,
+    )
 
 
 class _Server(uvicorn.Server):

@@ -93,6 +93,6 @@ def configure_logging(level: str) -> None:
         logger = logging.getLogger(name)
         logger.handlers.clear()
         logger.propagate = name != "uvicorn.access"
-    # These tell of every request and every statement at INFO.
-    for name in ("httpx", "httpcore", "alembic", "sqlalchemy.engine"):
+    # These tell of every request, statement and step at INFO.
+    for name in ("httpx", "httpcore", "alembic", "sqlalchemy.engine", "uvicorn"):
         logging.getLogger(name).setLevel(max(logging.WARNING, logging.getLogger().level))

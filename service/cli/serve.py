@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import signal
 import socket
 from pathlib import Path
@@ -52,15 +53,20 @@ def serve(chosen: Settings) -> None:
     # stop and did is no failure, so nobody should.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _ignore)
+    # What the operator can put right is said once, in one line, without uvicorn's traceback.
+    logging.getLogger("uvicorn.error").addFilter(lambda _: not isinstance(_startup_error(app), ServiceError))
     try:
         server.run(sockets=[listener])
+    except SystemExit:
+        if server.started:
+            raise
     finally:
         listener.close()
     if not server.started:
-        error = getattr(app.state, "startup_error", None)
+        error = _startup_error(app)
         if isinstance(error, ServiceError):
             raise error
-        raise UsageError(f"the service could not start: {error or 'see the log'}")
+        raise UsageError(f"the service could not start: {error or 'the log says why'}")
 
 
 def server_config(app: FastAPI) -> uvicorn.Config:
@@ -75,6 +81,10 @@ def server_config(app: FastAPI) -> uvicorn.Config:
         server_header=False,
         timeout_graceful_shutdown=GRACEFUL_S,
     )
+
+
+def _startup_error(app: FastAPI) -> Exception | None:
+    return getattr(app.state, "startup_error", None)
 
 
 class _Server(uvicorn.Server):

@@ -13,7 +13,7 @@ from typing import Any, Final
 from uuid import UUID, uuid5
 
 import numpy as np
-from sqlalchemy import Connection, or_, select, update
+from sqlalchemy import Connection, and_, not_, or_, select, update
 
 from core.driving.trips import Trip
 from core.navigation.track import TRACK, Mode, Track
@@ -152,7 +152,7 @@ class Effects:
             insert.on_conflict_do_update(
                 index_elements=[trips.c.id],
                 set_={column.name: column for column in insert.excluded if column.name != "id"},
-                where=trips.c.end_ns <= insert.excluded.end_ns,
+                where=and_(not_(trips.c.ended), trips.c.end_ns <= insert.excluded.end_ns),
             )
         )
 

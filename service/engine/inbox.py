@@ -1,4 +1,4 @@
-"""What waits for one worker: packets at hand, and vehicles that are to be read on from the journal."""
+"""What waits for one shard: packets at hand, and vehicles that are to be read on from the journal."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Work:
 
 
 class Inbox:
-    """Packets of the vehicles of one worker, a queue a vehicle. Every method is safe from any thread.
+    """Packets of the vehicles of one shard, a queue a vehicle. Every method is safe from any thread.
 
     The packets are in the journal already, so memory is bounded simply: once ``capacity`` packets are
     held, only their number is remembered, and their vehicles are read on from the journal when it is
@@ -68,9 +68,11 @@ class Inbox:
             self._held -= len(self._queues.pop(vehicle_pk, ()))
 
     def reopen(self, vehicle_pk: int) -> None:
-        """Take packets for a vehicle again."""
+        """Take packets for a vehicle again, after those that the journal has of it by now."""
         with self._changed:
             self._closed.discard(vehicle_pk)
+            self._set_lag(Lag(vehicle_pk, newest_id=0, rows=1))
+            self._changed.notify_all()
 
     def wait(self, timeout_s: float) -> None:
         """Return once there is work, or something called ``wake``, or the time is over."""
@@ -84,31 +86,30 @@ class Inbox:
             self._changed.notify_all()
 
     def take(self, per_vehicle: int, in_all: int) -> list[Work]:
-        """The next packets, at most so many of a vehicle and about so many in all; who was served goes to the end.
+        """The next packets, each vehicle once: at most so many of a vehicle and about so many in all.
 
-        Work on one vehicle is to be done in the order in which it stands in the list.
+        Half of it goes to vehicles that are behind, if there are any, so that neither kind starves the other.
         """
         work: list[Work] = []
         with self._changed:
             budget = in_all
+            for pk, lag in self._behind.items():
+                if budget <= in_all // 2:
+                    break
+                if pk not in self._queues:  # else what is at hand comes first: it is older
+                    work.append(Work(pk, (), lag))
+                    budget -= per_vehicle
             for pk in list(self._queues):
                 if budget <= 0:
                     break
                 queue = self._queues.pop(pk)
                 entries = tuple(queue.popleft() for _ in range(min(per_vehicle, len(queue))))
                 if queue:
-                    self._queues[pk] = queue
+                    self._queues[pk] = queue  # behind the others
                 work.append(Work(pk, entries))
                 budget -= len(entries)
                 self._held -= len(entries)
                 self._in_flight += len(entries)
-            for pk, lag in self._behind.items():
-                if budget <= 0:
-                    break
-                if pk in self._queues:
-                    continue  # what is at hand is older than what is left in the journal
-                work.append(Work(pk, (), lag))
-                budget -= per_vehicle
             self._busy = bool(work)
         return work
 

@@ -9,7 +9,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import islice, takewhile
 from typing import Any, Final, TypeVar
 
 from prometheus_client import Counter
@@ -110,7 +110,7 @@ class Shard(threading.Thread):
 
     While the database fails, 3 is repeated with the same effects: sessions go on only after that. A session
     that raises is set aside with its vehicle (``quarantined``): its checkpoint stays where it was and its
-    packets wait in the journal for the next start.
+    packets wait in the journal for the next start, or for a change of the vehicle's settings.
     """
 
     def __init__(self, number: int, context: Context) -> None:
@@ -149,6 +149,11 @@ class Shard(threading.Thread):
         self._stopping.set()
         self.inbox.wake()
 
+    def reconsider(self, pk: int) -> None:
+        """Try a vehicle that was set aside again, from its checkpoint; its settings have changed."""
+        if self.quarantined.pop(pk, None) is not None:
+            self.inbox.reopen(pk)
+
     def _turn(self) -> None:
         work = self.inbox.take(self._config.packets_per_vehicle, self._config.packets_per_commit)
         with self._context.folding:
@@ -174,9 +179,13 @@ class Shard(threading.Thread):
             self._remove(pk)
             return None
         effects = Effects(ref, round(self._config.track_interval_s * 1e9))
+        is_new = pk not in self._vehicles
         try:
             vehicle = self._vehicle(ref)
-            vehicle.fold(self._entries(work, vehicle), self._load, effects)
+            entries = self._entries(work, vehicle)
+            if is_new and entries:
+                entries = [*self._between(vehicle, entries[0].journal_id), *entries]
+            vehicle.fold(entries, self._load, effects)
             if effects.accidents or vehicle.is_due(round(self._config.checkpoint_interval_s * 1e9), time.time_ns()):
                 effects.checkpoint = vehicle.checkpoint()
         except _StoppedError:
@@ -211,6 +220,13 @@ class Shard(threading.Thread):
         self.inbox.read_on(work, len(rows), at_end=len(rows) < limit)
         return rows
 
+    def _between(self, vehicle: Vehicle, next_id: int) -> list[JournalEntry]:
+        """Rows after the vehicle's checkpoint that nobody handed on: none, unless something went wrong."""
+        database, pk, last_id = self._context.database, vehicle.ref.pk, vehicle.journal_id
+        return self._retry(
+            lambda: list(takewhile(lambda row: row.journal_id < next_id, read_after(database, pk, last_id)))
+        )
+
     def _load(self, ids: Sequence[int]) -> Iterable[JournalEntry]:
         return self._retry(lambda: load_rows(self._context.database, ids))
 
@@ -230,7 +246,7 @@ class Shard(threading.Thread):
         for effects, _ in stored:
             vehicle = self._vehicles.get(effects.ref.pk)
             if effects.checkpoint is not None and vehicle is not None:
-                vehicle.mark_saved(now_ns)
+                vehicle.mark_saved(effects.checkpoint, now_ns)
         return stored
 
     def _store_alone(self, effects: Effects) -> list[tuple[Effects, list[NewEvent]]]:
@@ -314,7 +330,8 @@ class Shard(threading.Thread):
         self.inbox.close(ref.pk)
         self._vehicles.pop(ref.pk, None)
         logger.error(
-            "vehicle %s of tenant %s is set aside: its session failed; its packets wait in the journal for a restart",
+            "vehicle %s of tenant %s is set aside, as its session failed; its packets wait in the journal until the "
+            "service starts again or the vehicle's settings change",
             ref.vehicle_id,
             ref.tenant_id,
             exc_info=error,

@@ -63,7 +63,7 @@ class Vehicle:
         self._must_save = False
         self._saved_id = self.journal_id
         self._saved_ns = now_ns
-        self._packet_ns = 0
+        self._packet_ns: int | None = None
         self._saved_packet_ns = 0
 
     def fold(self, entries: Iterable[JournalEntry], load: Load, effects: Effects) -> None:
@@ -87,6 +87,8 @@ class Vehicle:
     def _step(self, packet: JournalEntry, effects: Effects) -> None:
         if packet.payload:  # none where a refused packet only keeps its place in the sequence
             effects.add(self._session.step(measurements_from_packet(decode(packet.payload))), packet)
+            if self._packet_ns is None:
+                self._saved_packet_ns = packet.start_t_ns
             self._packet_ns = packet.start_t_ns
 
     @property
@@ -96,7 +98,7 @@ class Vehicle:
 
     def is_due(self, interval_ns: int, now_ns: int) -> bool:
         """Whether a checkpoint is due, by the packets' time or by the clock."""
-        in_packets_ns = abs(self._packet_ns - self._saved_packet_ns)
+        in_packets_ns = 0 if self._packet_ns is None else abs(self._packet_ns - self._saved_packet_ns)
         is_time = in_packets_ns >= interval_ns or now_ns - self._saved_ns >= interval_ns
         return self._must_save or (is_time and not self.is_saved)
 
@@ -104,12 +106,13 @@ class Vehicle:
         """The state as of now."""
         return Checkpoint(self.journal_id, self._sequencer.to_json(), self._session.snapshot())
 
-    def mark_saved(self, now_ns: int) -> None:
-        """Note that the checkpoint of the present state is stored."""
-        self._must_save = False
-        self._saved_id = self.journal_id
+    def mark_saved(self, checkpoint: Checkpoint, now_ns: int) -> None:
+        """Note that a checkpoint is stored."""
+        self._must_save = self._must_save and checkpoint.journal_id != self.journal_id
+        self._saved_id = checkpoint.journal_id
         self._saved_ns = now_ns
-        self._saved_packet_ns = self._packet_ns
+        if self._packet_ns is not None:
+            self._saved_packet_ns = self._packet_ns
 
     def reconfigure(self, ref: VehicleRef, factory: SessionFactory) -> None:
         """Go on in the same state with changed settings; a checkpoint is due, so that no replay uses them too early."""

@@ -59,6 +59,7 @@ class Engine:
         )
         context = Context(database, directory, metrics, fused, self._config, session_factory, on_event, on_state)
         self._shards = [Shard(number, context) for number in range(self._config.workers)]
+        directory.on_change(lambda pk: self._shard(pk).reconsider(pk))
         metrics.engine_backlog.set_function(lambda: self.backlog)
         quarantined = Gauge(
             "telefuse_vehicles_quarantined",

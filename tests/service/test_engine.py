@@ -319,6 +319,43 @@ def test_a_session_that_raises_stops_no_other_and_its_packets_are_used_after_a_r
     assert sum(row[0] == poisoned.pk for row in bench.stored()["track_points"]) == 5
 
 
+def test_a_vehicle_set_aside_goes_on_once_its_settings_are_mended(bench: Bench) -> None:
+    ref = bench.vehicle("car-1")
+    entries = bench.journal(*drive(ref))
+
+    def picky(config: VehicleConfig, snapshot: bytes | None) -> SummingFold:
+        if config.detector == "paper":
+            raise ValueError("settings that no session can use")
+        return SummingFold(config, snapshot)
+
+    engine = bench.engine(picky)
+    engine.start()
+    engine.submit(entries[:4])
+    assert engine.drain(WAIT_S)
+    bench.directory.register("default", "car-1", VehicleConfig(detector="paper"))
+    engine.submit(entries[4:8])
+    assert engine.drain(WAIT_S)
+    assert len(engine.health().quarantined) == 1
+    bench.directory.register("default", "car-1", VehicleConfig())
+    engine.submit(entries[8:])
+    assert engine.drain(WAIT_S)
+    engine.stop()
+    assert engine.health().quarantined == ()
+    assert len(bench.stored()["track_points"]) == 12
+
+
+def test_rows_that_were_never_handed_on_are_found_when_the_vehicle_is_opened(bench: Bench, other: Bench) -> None:
+    run(bench, bench.journal(*drive(bench.vehicle("car-1"))))
+    entries = other.journal(*drive(other.vehicle("car-1")))
+    run(other, entries[:3])
+    engine = other.engine()  # without recovery, as after an eviction
+    engine.start()
+    engine.submit(entries[6:])
+    assert engine.drain(WAIT_S)
+    engine.stop()
+    assert other.stored() == bench.stored()
+
+
 def test_nothing_is_lost_and_no_packet_used_twice_while_the_database_fails(bench: Bench, other: Bench) -> None:
     run(bench, bench.journal(*drive(bench.vehicle("car-1"))))
     entries = other.journal(*drive(other.vehicle("car-1")))

@@ -19,6 +19,13 @@ BoolArray = npt.NDArray[np.bool_]
 SATURATION_SHARE: Final = 0.995
 """A sample at or above this share of the full scale is taken as clipped: scale errors stay below 0.5 %."""
 
+MAX_FORCE_MPS2: Final = 10_000.0
+"""Beyond the end of high-g crash sensors, 2000 to 4000 m/s2."""
+MAX_RATE_RADPS: Final = 100.0
+"""Beyond the end of MEMS gyroscopes, 70 rad/s."""
+LATEST_NS: Final = 1 << 62
+"""The year 2116: a later time is damage, and could not be reckoned on from."""
+
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
@@ -65,15 +72,17 @@ def _saturated(rows: FloatArray, limit: float) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _valid(t_ns: TimeArray, f_s: FloatArray, omega_s: FloatArray, last_ns: int) -> tuple[BoolArray, int, int]:
-    """Which samples to use (n,), how many were late, how many not finite."""
+    """Which samples to use (n,), how many were late, how many not finite or out of any sensor's range."""
     keep = np.zeros(t_ns.shape[0], np.bool_)
     late, broken = 0, 0
     for k in range(t_ns.shape[0]):
         if t_ns[k] <= last_ns:
             late += 1
             continue
-        total = f_s[k, 0] + f_s[k, 1] + f_s[k, 2] + omega_s[k, 0] + omega_s[k, 1] + omega_s[k, 2]
-        if not math.isfinite(total):
+        sound = t_ns[k] <= LATEST_NS
+        for i in range(3):  # False too for what is not a number
+            sound &= abs(f_s[k, i]) <= MAX_FORCE_MPS2 and abs(omega_s[k, i]) <= MAX_RATE_RADPS
+        if not sound:
             broken += 1
             continue
         keep[k] = True
@@ -82,7 +91,7 @@ def _valid(t_ns: TimeArray, f_s: FloatArray, omega_s: FloatArray, last_ns: int) 
 
 
 class Preparation:
-    """Calibration and mounting as one affine map a triad, then validity: finite, and later than all before."""
+    """Calibration and mounting as one affine map a triad, then validity: in range, and later than all before."""
 
     def __init__(
         self,

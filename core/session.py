@@ -18,6 +18,7 @@ from core.driving.trips import Trip, TripThresholds, TripTracker
 from core.earth import STANDARD_GRAVITY_MPS2, radii_m
 from core.measurements import Measurements
 from core.navigation import state
+from core.navigation.alignment import next_second_ns
 from core.navigation.filter import Aids, FilterConfig, NavigationFilter, Series
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.preparation import Mounting, Preparation
@@ -131,7 +132,7 @@ class Session:
             )
         )
         rows = _joined(self._recent, fused.track)
-        accidents = tuple(_place(impact, rows) for impact in impacts)
+        accidents = tuple(_place(impact, _told_until(rows, impact.decided_t_ns)) for impact in impacts)
         self._recent = _newest(rows, RECENT_S)
         trips = tuple(self._trips.step(fused.track, measurements.ignition))
         self._add_counts(self._filter.counts - before, counts)
@@ -191,10 +192,21 @@ def _joined(before: Track, after: Track) -> Track:
 
 
 def _newest(track: Track, span_s: float) -> Track:
+    """The rows of the last ``span_s`` and the one before them, which holds until the first of these."""
     if not len(track.t_ns):
         return track
-    kept = track.t_ns >= track.t_ns[-1] - int(span_s * 1e9)
-    return Track(track.t_ns[kept], track.values[kept])
+    first = int(np.searchsorted(track.t_ns, track.t_ns[-1] - int(span_s * 1e9), side="right")) - 1
+    return Track(track.t_ns[max(first, 0) :], track.values[max(first, 0) :])
+
+
+def _told_until(track: Track, t_ns: int) -> Track:
+    """The rows that were there when the sample at ``t_ns`` had been taken, however samples come in packets.
+
+    While aligning, a row is told at the whole second after its fix.
+    """
+    told_ns = np.where(track.column("mode") == Mode.ALIGNING, next_second_ns(track.t_ns), track.t_ns)
+    count = int(np.searchsorted(told_ns, t_ns, side="right"))
+    return Track(track.t_ns[:count], track.values[:count])
 
 
 def _place(impact: Impact, track: Track) -> Accident:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from core.earth import radii_m
@@ -27,6 +29,7 @@ from core.navigation.state import (
     FUSED,
     GYRO_BIAS,
     I_GNSS_USED,
+    I_REFUSED,
     I_REJECTED,
     I_RESETS,
     MOUNT_PITCH,
@@ -40,6 +43,7 @@ from core.navigation.state import (
     SPEED_SCALE,
     T_GNSS,
     T_NOW,
+    T_REFUSED,
     T_REJECTED,
     T_SPEED,
     VEL,
@@ -78,6 +82,8 @@ _P_GATE_VEL = PARAMETER["gate_velocity"]
 _P_GATE = PARAMETER["gate_scalar"]
 _P_RECOVERY = PARAMETER["recovery_s"]
 _P_RECOVERY_FIXES = PARAMETER["recovery_fixes"]
+_P_LOST_RESETS = PARAMETER["resets_until_lost"]
+_P_LOST_S = PARAMETER["refused_until_lost_s"]
 _P_AGREE = PARAMETER["recovery_agreement_m"]
 _P_RECOVERY_ATT = PARAMETER["recovery_attitude_sd_rad"]
 _P_NHC = PARAMETER["nhc_sd_mps"]
@@ -92,6 +98,14 @@ Work = tuple[int, FloatArray, FloatArray]
 
 The number of states comes at run time on purpose: of a constant the compiler makes slower, unrolled loops.
 """
+
+MAX_LATITUDE_RAD = math.radians(89.9)
+"""Nearer to a pole north and east mean nothing; no road leads there."""
+MAX_HEIGHT_M = 20_000.0
+MAX_SPEED_MPS = 200.0
+"""Beyond these a fix or wheel speed is damaged: above any road, and 720 km/h."""
+MAX_SPREAD = 1_000.0
+"""A fix with a spread (m, m/s) or dilution beyond this says nothing."""
 
 COURSE_MIN_SPEED_MPS = 1.0
 """Below this a receiver's course is noise; its speed alone then says little more than the position."""
@@ -145,12 +159,29 @@ def _position_sd_m(fix: FloatArray, par: FloatArray) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True)
-def _usable(fix: FloatArray, par: FloatArray) -> bool:
-    if not (math.isfinite(fix[_LAT]) and math.isfinite(fix[_LON])):
+def usable_fix(fix: FloatArray, par: FloatArray) -> bool:
+    """Whether a row of GNSS says where the vehicle is, and nothing in it is beyond a road vehicle's reach."""
+    if not (abs(fix[_LAT]) <= MAX_LATITUDE_RAD and abs(fix[_LON]) <= 2.0 * math.pi):
         return False
-    if fix[_FIX] < 2.0:
+    if fix[_FIX] < 2.0 or fix[_SATELLITES] < par[_P_SATELLITES]:
         return False
-    return not fix[_SATELLITES] < par[_P_SATELLITES]
+    # Written so that what is missing, NaN, passes.
+    if abs(fix[_ALT]) > MAX_HEIGHT_M or abs(fix[_SPEED]) > MAX_SPEED_MPS or math.isinf(fix[_COURSE]):
+        return False
+    if abs(fix[_VN]) > MAX_SPEED_MPS or abs(fix[_VE]) > MAX_SPEED_MPS or abs(fix[_VD]) > MAX_SPEED_MPS:
+        return False
+    if fix[_SD_H] > MAX_SPREAD or fix[_SD_V] > MAX_SPREAD or fix[_SD_VEL] > MAX_SPREAD:
+        return False
+    return not (fix[_HDOP] > MAX_SPREAD or fix[_VDOP] > MAX_SPREAD)
+
+
+@njit(cache=True, nogil=True)
+def usable_fixes(fixes: FloatArray, par: FloatArray) -> npt.NDArray[np.bool_]:
+    """``usable_fix`` of each row of (n, len(GNSS_COLUMNS))."""
+    usable = np.empty(fixes.shape[0], np.bool_)
+    for k in range(fixes.shape[0]):
+        usable[k] = usable_fix(fixes[k], par)
+    return usable
 
 
 @njit(cache=True, nogil=True)
@@ -184,12 +215,9 @@ def fuse_position(
 ) -> bool:
     """GNSS position: horizontal by one gate of two dimensions, height by its own. True if fused.
 
-    ``lever_b`` is the antenna against the inertial sensor, body axes, m.
+    ``fix`` is one that is usable; ``lever_b`` is the antenna against the inertial sensor, body axes, m.
     """
     n, dx, ph = work
-    if not _usable(fix, par):
-        counts[A_POSITION, REJECTED_RANGE] += 1
-        return False
     fold_position(x, ti)
     lag_s = (ti[T_NOW] - t_ns) * 1e-9
     meridian, transverse = radii_m(x[X_LAT])
@@ -214,6 +242,9 @@ def fuse_position(
     fused = ratio <= par[_P_GATE_POS]
     if not fused:
         counts[A_POSITION, REJECTED_GATE] += 1
+        if ti[I_REFUSED] == 0:
+            ti[T_REFUSED] = t_ns
+        ti[I_REFUSED] += 1
         away_n, away_e = nu_n - x[X_REJECTED_N], nu_e - x[X_REJECTED_N + 1]
         agreement = par[_P_AGREE] + 3.0 * sd_h
         agrees = away_n * away_n + away_e * away_e <= agreement * agreement
@@ -240,6 +271,7 @@ def fuse_position(
         counts[A_POSITION, FUSED] += 1
         ti[I_RESETS] = 0
     ti[I_REJECTED] = 0
+    ti[I_REFUSED] = 0
     ti[T_GNSS] = ti[T_NOW]
     ti[I_GNSS_USED] = 1
 
@@ -255,6 +287,15 @@ def fuse_position(
             p[(POS + 2) * n + POS + 2] += 0.25 * innovation * innovation / par[_P_GATE]
     correct(x, dx)
     return True
+
+
+@njit(cache=True, nogil=True)
+def lost(ti: TimeArray, par: FloatArray) -> bool:
+    """Whether fixes have contradicted the state for so long that it has to be found anew."""
+    if ti[I_RESETS] >= par[_P_LOST_RESETS]:
+        return True
+    refused_s = (ti[T_NOW] - ti[T_REFUSED]) * 1e-9
+    return bool(ti[I_REFUSED] >= par[_P_RECOVERY_FIXES] and refused_s >= par[_P_LOST_S])
 
 
 @njit(cache=True, nogil=True)
@@ -277,9 +318,6 @@ def fuse_velocity(
         if fix[_SPEED] < COURSE_MIN_SPEED_MPS:
             return
         vn, ve = fix[_SPEED] * math.cos(fix[_COURSE]), fix[_SPEED] * math.sin(fix[_COURSE])
-    if not _usable(fix, par):
-        counts[A_VELOCITY, REJECTED_RANGE] += 1
-        return
     sd = max(fix[_SD_VEL], par[_P_FLOOR_V]) if fix[_SD_VEL] > 0.0 else par[_P_SD_VEL]
     c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
     wx, wy, wz = x[X_W] - x[X_BG], x[X_W + 1] - x[X_BG + 1], x[X_W + 2] - x[X_BG + 2]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,8 @@ MAX_GAP_S = 0.5
 """A longer hole in the samples ends what has been learnt: the turn within it is unknown."""
 FIX_MAX_AGE_S = 2.0
 """An older fix does not say where the vehicle is now."""
+MAX_FIELD_UT = 10_000.0
+"""Beyond the end of a box's magnetometer, 4900 uT: a damaged sample."""
 
 
 @dataclass(slots=True)
@@ -44,6 +47,14 @@ class InitialState:
     yaw_sd_rad: float
     gyro_bias_radps: FloatArray
     gyro_bias_sd_radps: float
+
+
+TimeOrTimes = TypeVar("TimeOrTimes", np.int64, TimeArray)
+
+
+def next_second_ns(t_ns: TimeOrTimes) -> TimeOrTimes:
+    """The first whole second after a time (or each of an array), ns: when what came before is evaluated."""
+    return (t_ns // SECOND_NS + 1) * SECOND_NS
 
 
 def level(f_b: FloatArray) -> tuple[float, float]:
@@ -107,7 +118,7 @@ class Aligner:
         magnetic: tuple[TimeArray, FloatArray],
         speed: tuple[TimeArray, FloatArray],
     ) -> None:
-        """Aids before the next evaluation, in order."""
+        """Usable aids before the next evaluation, in order."""
         self.gnss_t_ns = np.concatenate([self.gnss_t_ns, gnss[0]])
         self.gnss = np.concatenate([self.gnss, gnss[1]])
         self.magnetic_t_ns = np.concatenate([self.magnetic_t_ns, magnetic[0]])
@@ -122,9 +133,9 @@ class Aligner:
 
     def evaluate(self, t_ns: int) -> InitialState | None:
         """What is known at ``t_ns`` (a whole second) from the samples before it; None if not enough."""
-        self._drop_bad_fixes()
-        if len(self.imu_t_ns) > 1 and np.max(np.diff(self.imu_t_ns)) > MAX_GAP_S * 1e9:
-            cut = int(np.argmax(np.diff(self.imu_t_ns) > MAX_GAP_S * 1e9)) + 1
+        holes = np.flatnonzero(np.diff(self.imu_t_ns) > MAX_GAP_S * 1e9)
+        if len(holes):
+            cut = int(holes[-1]) + 1
             self.rest[:] = 0.0
             self.imu_t_ns, self.imu = self.imu_t_ns[cut:], self.imu[cut:]
         second = self._reduce(t_ns)
@@ -137,16 +148,6 @@ class Aligner:
         return found
 
     # What the samples say.
-
-    def _drop_bad_fixes(self) -> None:
-        g = self.gnss
-        bad = (
-            ~np.isfinite(g[:, GNSS["lat_rad"]])
-            | (g[:, GNSS["fix"]] < 2)
-            | (g[:, GNSS["satellites"]] < self.tuning.gnss_min_satellites)
-        )
-        if bad.any():
-            self.gnss_t_ns, self.gnss = self.gnss_t_ns[~bad], g[~bad]
 
     def _reduce(self, t_ns: int) -> _Second | None:
         inside = self.imu_t_ns >= t_ns - SECOND_NS

@@ -7,20 +7,24 @@ between aligning and navigating, snapshots.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation import kernel, state
-from core.navigation.alignment import SECOND_NS, Aligner, InitialState
+from core.navigation.aiding import MAX_SPEED_MPS, usable_fixes
+from core.navigation.alignment import MAX_FIELD_UT, SECOND_NS, Aligner, InitialState, next_second_ns
 from core.navigation.mechanization import normalised, start_frame
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.navigation.tuning import Tuning
 from core.rotation import matrix_from_quaternion
 
 Series = tuple[TimeArray, FloatArray]
+
+_AID_OF_SERIES: Final = (state.A_POSITION, state.A_MAGNETOMETER, state.A_SPEED)
+"""Rows of the counters for the series of ``Aids``, in their order."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +80,7 @@ class NavigationFilter:
         self._aligned = np.zeros(1, np.bool_)
         self._known = np.zeros(1, np.bool_)  # biases and mounting were estimated before
         self._evaluation_ns = np.zeros(1, np.int64)
+        self._newest_aid_ns = np.zeros(len(_AID_OF_SERIES), np.int64)
         self._aligner = Aligner(config.tuning)
         self._waiting = Aids(*_no_aids())
 
@@ -105,16 +110,7 @@ class NavigationFilter:
         saturated : (n,) 1 where the accelerometer read its full scale
         aids : GNSS, magnetometer and wheel speed of the same span
         """
-        self._waiting = Aids(
-            *(
-                (np.concatenate([old[0], new[0]]), np.concatenate([old[1], new[1]]))
-                for old, new in zip(
-                    (self._waiting.gnss, self._waiting.magnetic_b_ut, self._waiting.speed),
-                    (aids.gnss, aids.magnetic_b_ut, aids.speed),
-                    strict=True,
-                )
-            )
-        )
+        self._admit(imu_t_ns, aids)
         epochs = np.full((len(imu_t_ns), 4), np.nan)
         rows: list[Track] = []
         begin = 0
@@ -134,6 +130,45 @@ class NavigationFilter:
             return FilterOutput(rows[0], epochs)
         joined = Track(np.concatenate([r.t_ns for r in rows]), np.concatenate([r.values for r in rows]))
         return FilterOutput(joined, epochs)
+
+    # Aids
+
+    def _admit(self, imu_t_ns: TimeArray, aids: Aids) -> None:
+        """Let aids wait for their sample, without those out of range, out of order or far from any sample."""
+        gnss, magnetic, speed = aids.gnss, aids.magnetic_b_ut, aids.speed
+        usable = (
+            usable_fixes(gnss[1], self._par),
+            (np.abs(magnetic[1]) <= MAX_FIELD_UT).all(axis=1),
+            (speed[1] >= 0.0) & (speed[1] <= MAX_SPEED_MPS),
+        )
+        waiting = (self._waiting.gnss, self._waiting.magnetic_b_ut, self._waiting.speed)
+        queues = []
+        for kind, (aid, old, new, good) in enumerate(
+            zip(_AID_OF_SERIES, waiting, (gnss, magnetic, speed), usable, strict=True)
+        ):
+            if not len(new[0]):
+                queues.append(old)
+                continue
+            timely = self._timely(kind, new[0], imu_t_ns)
+            self.counts[aid, state.REJECTED_TIME] += np.count_nonzero(~timely)
+            self.counts[aid, state.REJECTED_RANGE] += np.count_nonzero(timely & ~good)
+            kept = timely & good
+            queues.append((np.concatenate([old[0], new[0][kept]]), np.concatenate([old[1], new[1][kept]])))
+        self._waiting = Aids(*queues)
+
+    def _timely(self, kind: int, t_ns: TimeArray, imu_t_ns: TimeArray) -> npt.NDArray[np.bool_]:
+        """Which times (n,) of a series are later than all before and not too long after an inertial sample.
+
+        Where the inertial samples have a hole, or before the first, there is nothing to aid: what came in would
+        pile up, and a time far ahead would keep all after it out.
+        """
+        at = np.searchsorted(imu_t_ns, t_ns, side="right")
+        sample_ns = np.concatenate([[self.t_ns], imu_t_ns])[at]
+        near = (sample_ns > 0) & (t_ns <= sample_ns + int(self.config.tuning.max_gap_s * 1e9))
+        taken = np.where(near, t_ns, 0)
+        before = np.maximum.accumulate(np.concatenate([self._newest_aid_ns[kind : kind + 1], taken]))
+        self._newest_aid_ns[kind] = before[-1]
+        return near & (t_ns > before[:-1])
 
     # Navigating
 
@@ -158,7 +193,7 @@ class NavigationFilter:
         )
         if stopped != kernel.STOPPED_END:
             self._aligned[0] = False
-            self._known[0] = True
+            self._known[0] = stopped != kernel.STOPPED_DIVERGED
             self.counts[state.A_IMU, state.RESET] += 1
             self._aligner.forget()
             self._evaluation_ns[0] = 0
@@ -191,7 +226,7 @@ class NavigationFilter:
             self.counts[state.A_IMU, state.REJECTED_TIME] += late
             return late, _no_track()
         if self._evaluation_ns[0] == 0:
-            self._evaluation_ns[0] = _next_second(int(t_ns[0]))
+            self._evaluation_ns[0] = next_second_ns(t_ns[0])
         boundary = int(self._evaluation_ns[0])
         before = int(np.searchsorted(t_ns, boundary))
         if before:
@@ -203,7 +238,7 @@ class NavigationFilter:
         self._hand_aids_over(boundary)
         found = self._aligner.evaluate(boundary)
         row = self._aligning_row(boundary)
-        self._evaluation_ns[0] = _next_second(int(t_ns[before]))
+        self._evaluation_ns[0] = next_second_ns(t_ns[before])
         if found is not None:
             self._start(found)
         return before, row
@@ -288,7 +323,7 @@ class NavigationFilter:
         """The whole state by name."""
         own: dict[str, npt.NDArray[np.generic]] = {
             name: getattr(self, name)
-            for name in ("x", "ti", "p", "ring", "counts", "_aligned", "_known", "_evaluation_ns")
+            for name in ("x", "ti", "p", "ring", "counts", "_aligned", "_known", "_evaluation_ns", "_newest_aid_ns")
         }
         for name in ("gnss", "magnetic_b_ut", "speed"):
             own[f"waiting.{name}.t"], own[f"waiting.{name}.rows"] = getattr(self._waiting, name)
@@ -297,17 +332,13 @@ class NavigationFilter:
 
     def load(self, arrays: dict[str, npt.NDArray[np.generic]]) -> None:
         """Take over what ``arrays`` gave."""
-        for name in ("x", "ti", "p", "ring", "counts", "_aligned", "_known", "_evaluation_ns"):
+        for name in ("x", "ti", "p", "ring", "counts", "_aligned", "_known", "_evaluation_ns", "_newest_aid_ns"):
             setattr(self, name, arrays[name])
         self._waiting = Aids(
             *((arrays[f"waiting.{n}.t"], arrays[f"waiting.{n}.rows"]) for n in ("gnss", "magnetic_b_ut", "speed"))  # type: ignore[arg-type]
         )
         prefix = "aligner."
         self._aligner.load({k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)})
-
-
-def _next_second(t_ns: int) -> int:
-    return (t_ns // SECOND_NS + 1) * SECOND_NS
 
 
 def _no_track() -> Track:

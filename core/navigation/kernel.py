@@ -14,11 +14,13 @@ from numba import njit
 from core.earth import STANDARD_GRAVITY_MPS2, radii_m
 from core.measurements import FloatArray, TimeArray
 from core.navigation.aiding import (
+    MAX_LATITUDE_RAD,
     fuse_non_holonomic,
     fuse_position,
     fuse_speed,
     fuse_standstill,
     fuse_velocity,
+    lost,
     too_old,
 )
 from core.navigation.error_model import propagate
@@ -34,14 +36,12 @@ from core.navigation.state import (
     I_BLOCK,
     I_BLOCKS,
     I_GNSS_USED,
-    I_RESETS,
     I_STATIONARY,
     MOUNT_PITCH,
     MOUNT_YAW,
     N_BLOCKS,
     N_STATES,
     POS,
-    REJECTED_RANGE,
     REJECTED_TIME,
     SPEED_SCALE,
     T_COV,
@@ -76,8 +76,13 @@ from core.navigation.state import (
 from core.navigation.track import TRACK, Mode
 from core.navigation.tuning import PARAMETER
 
-STOPPED_END, STOPPED_GAP, STOPPED_LOST = 0, 1, 2
-"""Why the loop came back: samples used up, a gap before the next sample, or lost (both: align anew)."""
+STOPPED_END, STOPPED_GAP, STOPPED_LOST, STOPPED_DIVERGED = 0, 1, 2, 3
+"""Why the loop came back: samples used up; or to align anew, after a gap before the next sample, because fixes
+contradict the state, or because the state is none that a vehicle can have (then nothing of it is kept)."""
+
+MOST_MPS, MOST_HEIGHT_M, MOST_SD_M = 300.0, 50_000.0, 100_000.0
+MOST_ACCEL_BIAS_MPS2, MOST_GYRO_BIAS_RADPS = 5.0, 1.0
+"""Beyond any of these the state is made of damaged samples: no vehicle and no bias is so fast or so far off."""
 
 USE_NHC, USE_ZUPT = 1, 2
 """Switches of the constraints, as bits."""
@@ -107,7 +112,6 @@ _GAP_S = PARAMETER["max_gap_s"]
 _SATURATED = PARAMETER["saturated_accel_sd_mps2"]
 _COASTING_S = PARAMETER["coasting_after_s"]
 _SPEED_S = PARAMETER["speed_interval_s"]
-_LOST = PARAMETER["resets_until_lost"]
 
 _C_LAT, _C_VN, _C_ROLL, _C_SD_N, _C_SD_YAW, _C_USED, _C_MODE = (
     TRACK["lat_rad"],
@@ -239,6 +243,18 @@ def _close_block(x: FloatArray, ti: TimeArray, p: FloatArray, ring: FloatArray, 
 
 
 @njit(cache=True, nogil=True)
+def _plausible(x: FloatArray, p: FloatArray) -> bool:
+    """Whether a vehicle and its box can be in this state; False too where it is not a number."""
+    sane = abs(x[X_ALT]) < MOST_HEIGHT_M and abs(x[X_LAT]) < MAX_LATITUDE_RAD
+    for i in range(3):
+        sane &= abs(x[X_V + i]) < MOST_MPS
+        sane &= abs(x[X_BA + i]) < MOST_ACCEL_BIAS_MPS2
+        sane &= abs(x[X_BG + i]) < MOST_GYRO_BIAS_RADPS
+        sane &= p[(POS + i) * N_STATES + POS + i] < MOST_SD_M * MOST_SD_M
+    return bool(sane)
+
+
+@njit(cache=True, nogil=True)
 def _put_row(
     x: FloatArray, ti: TimeArray, p: FloatArray, lever_b: FloatArray, par: FloatArray, row: FloatArray
 ) -> None:
@@ -307,7 +323,7 @@ def run(
     par : ``Tuning.as_array()``; ``switches`` as ``USE_NHC | USE_ZUPT``
     imu_lever_b, antenna_lever_b : (3,) inertial sensor in the body, and antenna against the sensor, m
     imu_t_ns, f_b, omega_b, saturated : (n,), (n, 3), (n, 3), (n,) calibrated samples in b
-    gnss_t_ns, gnss, speed_t_ns, speed_mps : aids by increasing time; those after the last sample wait
+    gnss_t_ns, gnss, speed_t_ns, speed_mps : usable aids by increasing time; those after the last sample wait
     epochs : (n, 4) written: down in b and horizontal speed at each sample
     out_t_ns, out : written: track rows
     counts : (aids, outcomes) added to
@@ -400,6 +416,8 @@ def run(
                 s0, s1, s2, s3, s4, s5, in_block = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
                 _catch_up(x, ti, p, n, scratch, q, par)
                 fold_position(x, ti)
+                if not _plausible(x, p):
+                    stopped = STOPPED_DIVERGED
                 if t // 1_000_000_000 != ti[T_NEXT_BLOCK] // 1_000_000_000 or ti[T_NEXT_BLOCK] % 1_000_000_000 == 0:
                     symmetrise(p, n)
                 ti[T_NEXT_BLOCK] = (t // block_ns + 1) * block_ns
@@ -409,17 +427,14 @@ def run(
                     if fuse_position(x, ti, p, gnss_t_ns[i_gnss], gnss[i_gnss], antenna_lever_b, par, work, counts):
                         fold_position(x, ti)
                     fuse_velocity(x, ti, p, gnss[i_gnss], antenna_lever_b, par, work, counts)
-                    if ti[I_RESETS] >= par[_LOST]:
+                    if stopped == STOPPED_END and lost(ti, par):
                         stopped = STOPPED_LOST
                 i_gnss += 1
             while i_speed < n_speed and speed_t_ns[i_speed] <= t:
-                if not too_old(ti, speed_t_ns[i_speed], par, A_SPEED, counts):
-                    reading = speed_mps[i_speed]
-                    if not (reading >= 0.0 and reading < 150.0):
-                        counts[A_SPEED, REJECTED_RANGE] += 1
-                    elif t - ti[T_SPEED] >= speed_ns:
-                        _catch_up(x, ti, p, n, scratch, q, par)
-                        fuse_speed(x, ti, p, reading, par, work, counts)
+                old = too_old(ti, speed_t_ns[i_speed], par, A_SPEED, counts)
+                if not old and t - ti[T_SPEED] >= speed_ns:
+                    _catch_up(x, ti, p, n, scratch, q, par)
+                    fuse_speed(x, ti, p, speed_mps[i_speed], par, work, counts)
                 i_speed += 1
             if t >= ti[T_NEXT_CONSTRAINT]:
                 ti[T_NEXT_CONSTRAINT] = (t // constraint_ns + 1) * constraint_ns
@@ -450,7 +465,7 @@ def run(
         s0, s1, s2 = s0 + nfx, s1 + nfy, s2 + nfz
         s3, s4, s5 = s3 + nwx, s4 + nwy, s5 + nwz
         in_block += 1
-        if stopped == STOPPED_LOST:
+        if stopped != STOPPED_END:
             used = k + 1
             break
     x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3] = qw, qx, qy, qz

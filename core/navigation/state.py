@@ -55,14 +55,16 @@ T_NEXT_CONSTRAINT: Final = 4
 T_NEXT_OUTPUT: Final = 5
 T_GNSS: Final = 6  # last position fused
 T_SPEED: Final = 7  # last wheel speed used
-T_REJECTED: Final = 8  # first of a run of refused positions, 0 if none
-I_REJECTED: Final = 9  # length of that run
+T_REJECTED: Final = 8  # first of a run of refused positions that agree
+I_REJECTED: Final = 9  # length of that run, 0 if none
 I_RESETS: Final = 10  # position resets since the last fused position
 I_BLOCK: Final = 11  # samples in the open block
 I_BLOCKS: Final = 12  # blocks closed since start or gap
 I_GNSS_USED: Final = 13  # since the last output row
 I_STATIONARY: Final = 14
-NT: Final = 15
+T_REFUSED: Final = 15  # first of a run of refused positions, whether they agree or not
+I_REFUSED: Final = 16  # length of that run, 0 if none
+NT: Final = 17
 
 # Ring of closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3).
 N_BLOCKS: Final = 10

@@ -83,6 +83,13 @@ class Tuning(Tunables):
     resets_until_lost: float = tunable(
         3, unit="1", low=1, high=100, source="resets with no fix accepted between: heading is wrong, align anew"
     )
+    refused_until_lost_s: float = tunable(
+        15.0,
+        unit="s",
+        low=2,
+        high=600,
+        source="choice: three times recovery_s; with a wrong heading the refused fixes run away and never agree",
+    )
 
     nhc_sd_mps: float = tunable(
         0.25, unit="m/s", low=0.01, high=5, source="lateral slip and suspension of a car; " + _CHOICE

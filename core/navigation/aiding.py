@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-import numpy.typing as npt
 from numba import njit
 
 from core.earth import radii_m
@@ -67,7 +65,7 @@ _LAT, _LON, _ALT = GNSS["lat_rad"], GNSS["lon_rad"], GNSS["alt_m"]
 _VN, _VE, _VD = GNSS["vn_mps"], GNSS["ve_mps"], GNSS["vd_mps"]
 _SPEED, _COURSE = GNSS["speed_mps"], GNSS["course_rad"]
 _SD_H, _SD_V, _SD_VEL = GNSS["sd_h_m"], GNSS["sd_v_m"], GNSS["sd_v_mps"]
-_HDOP, _VDOP, _SATELLITES, _FIX = GNSS["hdop"], GNSS["vdop"], GNSS["satellites"], GNSS["fix"]
+_HDOP, _VDOP = GNSS["hdop"], GNSS["vdop"]
 
 _P_SD_H = PARAMETER["gnss_sd_h_m"]
 _P_UERE = PARAMETER["gnss_uere_m"]
@@ -75,7 +73,6 @@ _P_HEIGHT = PARAMETER["gnss_height_factor"]
 _P_SD_VEL = PARAMETER["gnss_sd_v_mps"]
 _P_FLOOR = PARAMETER["gnss_sd_floor_m"]
 _P_FLOOR_V = PARAMETER["gnss_sd_v_floor_mps"]
-_P_SATELLITES = PARAMETER["gnss_min_satellites"]
 _P_AGE = PARAMETER["gnss_max_age_s"]
 _P_GATE_POS = PARAMETER["gate_position"]
 _P_GATE_VEL = PARAMETER["gate_velocity"]
@@ -98,14 +95,6 @@ Work = tuple[int, FloatArray, FloatArray]
 
 The number of states comes at run time on purpose: of a constant the compiler makes slower, unrolled loops.
 """
-
-MAX_LATITUDE_RAD = math.radians(89.9)
-"""Nearer to a pole north and east mean nothing; no road leads there."""
-MAX_HEIGHT_M = 20_000.0
-MAX_SPEED_MPS = 200.0
-"""Beyond these a fix or wheel speed is damaged: above any road, and 720 km/h."""
-MAX_SPREAD = 1_000.0
-"""A fix with a spread (m, m/s) or dilution beyond this says nothing."""
 
 COURSE_MIN_SPEED_MPS = 1.0
 """Below this a receiver's course is noise; its speed alone then says little more than the position."""
@@ -156,32 +145,6 @@ def _position_sd_m(fix: FloatArray, par: FloatArray) -> tuple[float, float]:
     else:
         vertical = par[_P_HEIGHT] * horizontal
     return horizontal, vertical
-
-
-@njit(cache=True, nogil=True)
-def usable_fix(fix: FloatArray, par: FloatArray) -> bool:
-    """Whether a row of GNSS says where the vehicle is, and nothing in it is beyond a road vehicle's reach."""
-    if not (abs(fix[_LAT]) <= MAX_LATITUDE_RAD and abs(fix[_LON]) <= 2.0 * math.pi):
-        return False
-    if fix[_FIX] < 2.0 or fix[_SATELLITES] < par[_P_SATELLITES]:
-        return False
-    # Written so that what is missing, NaN, passes.
-    if abs(fix[_ALT]) > MAX_HEIGHT_M or abs(fix[_SPEED]) > MAX_SPEED_MPS or math.isinf(fix[_COURSE]):
-        return False
-    if abs(fix[_VN]) > MAX_SPEED_MPS or abs(fix[_VE]) > MAX_SPEED_MPS or abs(fix[_VD]) > MAX_SPEED_MPS:
-        return False
-    if fix[_SD_H] > MAX_SPREAD or fix[_SD_V] > MAX_SPREAD or fix[_SD_VEL] > MAX_SPREAD:
-        return False
-    return not (fix[_HDOP] > MAX_SPREAD or fix[_VDOP] > MAX_SPREAD)
-
-
-@njit(cache=True, nogil=True)
-def usable_fixes(fixes: FloatArray, par: FloatArray) -> npt.NDArray[np.bool_]:
-    """``usable_fix`` of each row of (n, len(GNSS_COLUMNS))."""
-    usable = np.empty(fixes.shape[0], np.bool_)
-    for k in range(fixes.shape[0]):
-        usable[k] = usable_fix(fixes[k], par)
-    return usable
 
 
 @njit(cache=True, nogil=True)

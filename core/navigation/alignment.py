@@ -27,8 +27,6 @@ MAX_GAP_S = 0.5
 """A longer hole in the samples ends what has been learnt: the turn within it is unknown."""
 FIX_MAX_AGE_S = 2.0
 """An older fix does not say where the vehicle is now."""
-MAX_FIELD_UT = 10_000.0
-"""Beyond the end of a box's magnetometer, 4900 uT: a damaged sample."""
 
 
 @dataclass(slots=True)

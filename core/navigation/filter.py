@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation import kernel, state
-from core.navigation.aiding import MAX_SPEED_MPS, usable_fixes
-from core.navigation.alignment import MAX_FIELD_UT, SECOND_NS, Aligner, InitialState, next_second_ns
+from core.navigation.admission import timely, usable_fields, usable_fixes, usable_speeds
+from core.navigation.alignment import SECOND_NS, Aligner, InitialState, next_second_ns
 from core.navigation.mechanization import normalised, start_frame
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.navigation.tuning import Tuning
@@ -134,41 +134,28 @@ class NavigationFilter:
     # Aids
 
     def _admit(self, imu_t_ns: TimeArray, aids: Aids) -> None:
-        """Let aids wait for their sample, without those out of range, out of order or far from any sample."""
-        gnss, magnetic, speed = aids.gnss, aids.magnetic_b_ut, aids.speed
+        """Let those aids wait for their sample that can be used."""
+        new = (aids.gnss, aids.magnetic_b_ut, aids.speed)
+        waiting = [self._waiting.gnss, self._waiting.magnetic_b_ut, self._waiting.speed]
         usable = (
-            usable_fixes(gnss[1], self._par),
-            (np.abs(magnetic[1]) <= MAX_FIELD_UT).all(axis=1),
-            (speed[1] >= 0.0) & (speed[1] <= MAX_SPEED_MPS),
+            lambda rows: usable_fixes(rows, self._par),
+            usable_fields,
+            usable_speeds,
         )
-        waiting = (self._waiting.gnss, self._waiting.magnetic_b_ut, self._waiting.speed)
-        queues = []
-        for kind, (aid, old, new, good) in enumerate(
-            zip(_AID_OF_SERIES, waiting, (gnss, magnetic, speed), usable, strict=True)
-        ):
-            if not len(new[0]):
-                queues.append(old)
+        for kind, (t_ns, rows) in enumerate(new):
+            if not len(t_ns):
                 continue
-            timely = self._timely(kind, new[0], imu_t_ns)
-            self.counts[aid, state.REJECTED_TIME] += np.count_nonzero(~timely)
-            self.counts[aid, state.REJECTED_RANGE] += np.count_nonzero(timely & ~good)
-            kept = timely & good
-            queues.append((np.concatenate([old[0], new[0][kept]]), np.concatenate([old[1], new[1][kept]])))
-        self._waiting = Aids(*queues)
-
-    def _timely(self, kind: int, t_ns: TimeArray, imu_t_ns: TimeArray) -> npt.NDArray[np.bool_]:
-        """Which times (n,) of a series are later than all before and not too long after an inertial sample.
-
-        Where the inertial samples have a hole, or before the first, there is nothing to aid: what came in would
-        pile up, and a time far ahead would keep all after it out.
-        """
-        at = np.searchsorted(imu_t_ns, t_ns, side="right")
-        sample_ns = np.concatenate([[self.t_ns], imu_t_ns])[at]
-        near = (sample_ns > 0) & (t_ns <= sample_ns + int(self.config.tuning.max_gap_s * 1e9))
-        taken = np.where(near, t_ns, 0)
-        before = np.maximum.accumulate(np.concatenate([self._newest_aid_ns[kind : kind + 1], taken]))
-        self._newest_aid_ns[kind] = before[-1]
-        return near & (t_ns > before[:-1])
+            in_time, newest_ns = timely(
+                t_ns, imu_t_ns, self.t_ns, int(self._newest_aid_ns[kind]), self.config.tuning.max_gap_s
+            )
+            in_range = usable[kind](rows)
+            kept = in_time & in_range
+            self._newest_aid_ns[kind] = newest_ns
+            self.counts[_AID_OF_SERIES[kind], state.REJECTED_TIME] += np.count_nonzero(~in_time)
+            self.counts[_AID_OF_SERIES[kind], state.REJECTED_RANGE] += np.count_nonzero(in_time & ~in_range)
+            old_t_ns, old_rows = waiting[kind]
+            waiting[kind] = np.concatenate([old_t_ns, t_ns[kept]]), np.concatenate([old_rows, rows[kept]])
+        self._waiting = Aids(*waiting)
 
     # Navigating
 

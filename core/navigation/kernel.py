@@ -13,8 +13,8 @@ from numba import njit
 
 from core.earth import STANDARD_GRAVITY_MPS2, radii_m
 from core.measurements import FloatArray, TimeArray
+from core.navigation.admission import MAX_LATITUDE_RAD
 from core.navigation.aiding import (
-    MAX_LATITUDE_RAD,
     fuse_non_holonomic,
     fuse_position,
     fuse_speed,

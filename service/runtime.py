@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-import fcntl
 import logging
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import AsyncExitStack, suppress
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
-from typing import IO, Any, Final
+from typing import Any, Final
 
 from sqlalchemy import Engine as Database
-from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.engine import checkpoints
 from service.engine.sessions import warm_up
 from service.engine.shard import EngineConfig
 from service.engine.worker import Engine
-from service.errors import DatabaseError
 from service.ingest.journal import Journal
 from service.ingest.receiver import Receiver
 from service.ingest.zenoh import ZenohIngest
@@ -29,6 +25,7 @@ from service.observability import Metrics
 from service.settings import Settings
 from service.storage import retention, schema
 from service.storage.database import open_database, read
+from service.storage.holding import hold_database
 from service.storage.vehicles import VehicleDirectory, VehicleRef
 from service.webhooks.sender import Sender
 
@@ -85,12 +82,9 @@ class Runtime:
         def at_stop(close: Callable[[], object]) -> None:
             stack.push_async_callback(in_thread, close)
 
-        settings.data_dir.mkdir(parents=True, exist_ok=True)
-        file = make_url(settings.database_url).database
-        if settings.database_url.startswith("sqlite") and file:
-            at_stop(_lock(Path(file)).close)
         self.database = open_database(settings.database_url)
         at_stop(self.database.dispose)
+        at_stop(await in_thread(hold_database, self.database))
         await in_thread(schema.upgrade, self.database)
 
         self.directory = VehicleDirectory(self.database, open_registration=settings.registration == "open")
@@ -173,20 +167,6 @@ class Runtime:
             except SQLAlchemyError as error:
                 logger.warning("what is too old stays for now: %s", error)
             await asyncio.sleep(PRUNE_EVERY_S)
-
-
-def _lock(database: Path) -> IO[str]:
-    """Hold a database file for this process; the lock ends with the process, however it ends."""
-    database.parent.mkdir(parents=True, exist_ok=True)
-    file = database.with_name(database.name + ".lock").open("w")
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        file.close()
-        raise DatabaseError(
-            f"{database} is in use by another telefuse service; stop it, or give this one another data_dir"
-        ) from None
-    return file
 
 
 async def _stop_task(task: asyncio.Task[None], ask: Callable[[], Awaitable[None]] | None = None) -> None:

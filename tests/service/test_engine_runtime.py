@@ -24,7 +24,8 @@ from service.recordings.packets import drive_packets
 from service.recordings.simulated import drive_of
 from service.runtime import Runtime
 from service.settings import Settings
-from service.storage.database import read
+from service.storage.database import open_database, read
+from service.storage.holding import hold_database
 from service.storage.tables import checkpoints, journal, track_points
 
 VEHICLE = "car-1"
@@ -93,6 +94,19 @@ def test_a_second_service_on_the_same_database_is_refused_until_the_first_ends(t
         await second.stop()
 
     asyncio.run(run())
+
+
+def test_a_postgresql_database_is_held_by_one_service_too(empty_postgres_url: str) -> None:
+    one, other = open_database(empty_postgres_url), open_database(empty_postgres_url)
+    let_go = hold_database(one)
+    with pytest.raises(DatabaseError, match="in use by another telefuse service"):
+        hold_database(other)
+    let_go()
+    hold_database(other)()
+    one.dispose()
+    other.dispose()
+    with pytest.raises(DatabaseError, match="cannot be reached"):
+        hold_database(open_database("postgresql+psycopg://nobody@127.0.0.1:1/none"))
 
 
 def test_a_start_that_fails_lets_go_of_everything(tmp_path: Path) -> None:

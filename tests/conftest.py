@@ -65,9 +65,9 @@ def postgres_server():
         server.cleanup()
 
 
-@pytest.fixture
-def empty_postgres_url(postgres_server):
-    """A fresh PostgreSQL database without a schema."""
+@contextlib.contextmanager
+def new_postgres_database(postgres_server):
+    """The address of a database of its own, without a schema."""
     name = f"test_{next(_numbers)}"
     admin = sqlalchemy.create_engine(postgres_server, isolation_level="AUTOCOMMIT")
     with admin.connect() as connection:
@@ -76,6 +76,13 @@ def empty_postgres_url(postgres_server):
     with admin.connect() as connection:
         connection.execute(sqlalchemy.text(f"DROP DATABASE {name} WITH (FORCE)"))
     admin.dispose()
+
+
+@pytest.fixture
+def empty_postgres_url(postgres_server):
+    """A fresh PostgreSQL database without a schema."""
+    with new_postgres_database(postgres_server) as url:
+        yield url
 
 
 @pytest.fixture
@@ -150,6 +157,17 @@ def service(tmp_path_factory):
     data_dir = tmp_path_factory.mktemp("service")
     with run_service(Settings(data_dir=data_dir, zenoh_mode="off", workers=1)) as running:
         yield running
+
+
+@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+def any_service(request, tmp_path_factory):
+    """The same, once for each kind of database."""
+    chosen = {"data_dir": tmp_path_factory.mktemp("service"), "zenoh_mode": "off", "workers": 1}
+    with contextlib.ExitStack() as stack:
+        if request.param == "postgresql":
+            server = request.getfixturevalue("postgres_server")
+            chosen["database_url"] = stack.enter_context(new_postgres_database(server))
+        yield stack.enter_context(run_service(Settings(**chosen)))
 
 
 @pytest.fixture

@@ -37,5 +37,10 @@ def the_vehicle(connection: Connection, tenant_id: str, vehicle_id: str) -> Vehi
     """The tenant's vehicle; raises NotFoundError for none, also where another tenant has one of that name."""
     row = vehicles.find(connection, tenant_id, vehicle_id)
     if row is None:
-        raise NotFoundError(f"there is no vehicle '{vehicle_id}'; register it with PUT /v1/vehicles/{vehicle_id}")
+        raise no_vehicle(vehicle_id)
     return row
+
+
+def no_vehicle(vehicle_id: str) -> NotFoundError:
+    """What is answered where the tenant has no vehicle of that name."""
+    return NotFoundError(f"there is no vehicle '{vehicle_id}'; register it with PUT /v1/vehicles/{vehicle_id}")

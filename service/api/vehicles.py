@@ -17,12 +17,13 @@ from schemas.vehicles import (
     LastPacket,
     ListedVehicle,
     Vehicle,
+    VehicleConfig,
     VehicleList,
     VehicleState,
     VehicleUpdate,
 )
 from service.api.conditional import IfMatch, IfNoneMatch, answer, check_preconditions
-from service.api.dependencies import Database, Directory, VehiclePath, the_vehicle
+from service.api.dependencies import Database, Directory, VehiclePath, no_vehicle, the_vehicle
 from service.api.pagination import Page, encode_cursor, link_next
 from service.api.security import Principal, require
 from service.storage import retention, tenants, trips, vehicles
@@ -72,7 +73,7 @@ def put_vehicle(
 ) -> Response:
     """Register a vehicle, or change the settings of a registered one. Its session goes on with them."""
     with write(engine) as connection:
-        tenants.ensure(connection, caller.tenant_id)
+        tenants.lock(connection, caller.tenant_id)
         before = vehicles.find(connection, caller.tenant_id, vehicle_id)
         check_preconditions(None if before is None else _vehicle(before), if_match, if_none_match)
         row = vehicles.put(connection, caller.tenant_id, vehicle_id, update.config)
@@ -106,7 +107,10 @@ def get_state(request: Request, vehicle_id: VehiclePath, caller: Reader, engine:
     with read(engine) as connection:
         row = the_vehicle(connection, caller.tenant_id, vehicle_id)
         packet = vehicles.newest_packet(connection, row.ref.pk)
-        durable = None if packet is None else vehicles.durable_sequence(connection, row.ref.pk, packet.boot_id)
+        durable = None
+        if packet is not None:
+            gap_wait_ns = round(request.app.state.settings.gap_wait_s * 1e9)
+            durable = vehicles.durable_sequence(connection, row.ref.pk, packet.boot_id, gap_wait_ns)
         position = trips.newest_position(connection, row.ref.pk) if caller.may("positions:read") else None
     body = VehicleState(
         vehicle_id=row.ref.vehicle_id,
@@ -139,17 +143,17 @@ def put_calibration(
     vehicle_id: VehiclePath,
     calibration: Calibration,
     caller: Writer,
-    engine: Database,
     directory: Directory,
     if_match: IfMatch = None,
 ) -> Response:
     """Put the calibration of the box's sensors into the vehicle's settings."""
-    with write(engine) as connection:
-        before = the_vehicle(connection, caller.tenant_id, vehicle_id)
-        check_preconditions(before.ref.config.calibration or Calibration(), if_match, None)
-        config = before.ref.config.model_copy(update={"calibration": calibration})
-        row = vehicles.put(connection, caller.tenant_id, vehicle_id, config)
-    directory.changed(row.ref)
+
+    def change(config: VehicleConfig) -> VehicleConfig:
+        check_preconditions(config.calibration or Calibration(), if_match, None)
+        return config.model_copy(update={"calibration": calibration})
+
+    if directory.update(caller.tenant_id, vehicle_id, change) is None:
+        raise no_vehicle(vehicle_id)
     return answer(request, calibration)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from sqlalchemy import Column, ColumnElement, Connection, Engine, and_, delete, exists, func, not_, select
+from sqlalchemy import Column, ColumnElement, Connection, Engine, and_, delete, exists, func, not_, select, true
 
 from service.ingest.sequencing import Sequencer
 from service.storage import idempotency
@@ -73,7 +73,8 @@ def _in_chunks(engine: Engine, remove: Callable[[Connection], int]) -> int:
 
 
 def _prune_journal(connection: Connection, vehicle_pk: int, before_ns: int | None) -> int:
-    wanted = journal.c.vehicle_pk == vehicle_pk
+    wanted: ColumnElement[bool] = journal.c.vehicle_pk == vehicle_pk
+    too_old: ColumnElement[bool] = true()
     if before_ns is not None:
         row = connection.execute(
             select(checkpoints.c.journal_id, checkpoints.c.sequencer).where(checkpoints.c.vehicle_pk == vehicle_pk)
@@ -82,18 +83,22 @@ def _prune_journal(connection: Connection, vehicle_pk: int, before_ns: int | Non
             return 0
         # The last one stays too, so that the vehicle still shows when its box last spoke.
         keep_from = min([row.journal_id, *Sequencer.from_json(row.sequencer).pending_ids()])
-        wanted = and_(wanted, journal.c.received_ns < before_ns, journal.c.id < keep_from)
-    return _delete_first(connection, journal.c.id, wanted)
+        wanted, too_old = and_(wanted, journal.c.id < keep_from), journal.c.received_ns < before_ns
+    return _delete_first(connection, journal.c.id, wanted, too_old)
 
 
 def _prune_events(connection: Connection, before_ns: int) -> int:
     unsent = exists().where(deliveries.c.event_id == events.c.id, deliveries.c.status == "pending")
-    return _delete_first(connection, events.c.cursor, and_(events.c.stored_ns < before_ns, not_(unsent)))
+    return _delete_first(connection, events.c.cursor, not_(unsent), events.c.stored_ns < before_ns)
 
 
-def _delete_first(connection: Connection, key: Column[int], wanted: ColumnElement[bool]) -> int:
-    chosen = select(key).where(wanted).order_by(key).limit(CHUNK)
-    return connection.execute(delete(key.table).where(key.in_(chosen))).rowcount
+def _delete_first(
+    connection: Connection, key: Column[int], wanted: ColumnElement[bool], too_old: ColumnElement[bool]
+) -> int:
+    # Rows stand in the order in which they came, so only the first ones are looked at: where one of them is
+    # young the rest is too, and need not be read each time.
+    first = select(key).where(wanted).order_by(key).limit(CHUNK)
+    return connection.execute(delete(key.table).where(key.in_(first), too_old)).rowcount
 
 
 def _prune_track(connection: Connection, vehicle_pk: int, before_ns: int | None) -> int:

@@ -22,6 +22,14 @@ def ensure(connection: Connection, tenant_id: str, name: str | None = None) -> N
     connection.execute(insert.on_conflict_do_nothing())
 
 
+def lock(connection: Connection, tenant_id: str) -> None:
+    """Let nobody else change what is the tenant's until this transaction ends, so that reading first is safe.
+
+    SQLite has one writer anyway. Rows that only refer to the tenant are not kept waiting.
+    """
+    connection.execute(select(tenants.c.id).where(tenants.c.id == tenant_id).with_for_update(key_share=True))
+
+
 def exists(connection: Connection, tenant_id: str) -> bool:
     """Whether there is such a tenant."""
     return connection.execute(select(tenants.c.id).where(tenants.c.id == tenant_id)).first() is not None

@@ -95,12 +95,12 @@ def newest_packet(connection: Connection, vehicle_pk: int) -> PacketRow | None:
     return None if row is None else PacketRow(*row)
 
 
-def durable_sequence(connection: Connection, vehicle_pk: int, boot_id: str) -> int:
+def durable_sequence(connection: Connection, vehicle_pk: int, boot_id: str, gap_wait_ns: int) -> int:
     """Up to where a boot's packets are durable or refused for good, as its box is told; 0 for nothing."""
     saved = connection.execute(
         select(checkpoints.c.journal_id, checkpoints.c.sequencer).where(checkpoints.c.vehicle_pk == vehicle_pk)
     ).one_or_none()
-    sequencer = Sequencer() if saved is None else Sequencer.from_json(saved.sequencer)
+    sequencer = Sequencer(gap_wait_ns) if saved is None else Sequencer.from_json(saved.sequencer, gap_wait_ns)
     since = select(journal.c.boot_id, journal.c.sequence, journal.c.start_t_ns, journal.c.id).where(
         journal.c.vehicle_pk == vehicle_pk, journal.c.id > (0 if saved is None else saved.journal_id)
     )
@@ -164,6 +164,7 @@ class VehicleDirectory:
     ) -> VehicleRow | None:
         """Give a registered vehicle the settings that ``change`` makes of its present ones; None if there is none."""
         with write(self._engine) as connection:
+            tenants.lock(connection, tenant_id)
             row = find(connection, tenant_id, vehicle_id)
             if row is None:
                 return None
@@ -194,10 +195,6 @@ class VehicleDirectory:
             self._by_pk.pop(row.ref.pk, None)
         self._tell([row.ref.pk])
         return True
-
-    def bucket(self, tenant_id: str, vehicle_id: str) -> str:
-        """The part of the fleet that the vehicle belongs to, as in its Zenoh keys."""
-        return keys.bucket(tenant_id, vehicle_id)
 
     def changed(self, ref: VehicleRef) -> None:
         """Take in a vehicle that was changed in a transaction of the caller's, which is now committed."""

@@ -16,6 +16,11 @@ from service.webhooks.outbox import NewEvent
 from tests.service.stored_rows import NS, T0, accident_row, point_row, trip_row
 
 
+@pytest.fixture(scope="module")
+def service(any_service):
+    return any_service
+
+
 @pytest.fixture
 def admin(service, tenant):
     with service.client(tenant, "admin") as client:

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
+import httpx
 import pytest
 from sqlalchemy import func, insert, select
 
 from service.storage import tables, vehicles
 from service.storage.database import read, write
 from tests.service.stored_rows import NS, T0, point_row
+
+
+@pytest.fixture(scope="module")
+def service(any_service):
+    return any_service
 
 
 @pytest.fixture
@@ -114,6 +121,22 @@ def test_a_change_meets_what_its_author_knew_or_nothing(admin):
     assert (lost.status_code, lost.json()["code"]) == (412, "precondition_failed")
     assert admin.get("/v1/vehicles/a").json()["config"]["detector"] == "paper"
     assert admin.put("/v1/vehicles/b", json={}, headers={"If-Match": "*"}).status_code == 412
+
+
+@pytest.mark.parametrize("first", ["register", "change"])
+def test_of_many_at_once_with_the_same_condition_one_wins(service, tenant, first):
+    headers = {"Authorization": f"Bearer {service.token(tenant, 'admin')}", "If-None-Match": "*"}
+    url = f"{service.url}/v1/vehicles/a"
+    if first == "change":
+        headers["If-Match"] = httpx.put(url, json={}, headers=headers).headers["etag"]
+        del headers["If-None-Match"]
+
+    def put(number):
+        return httpx.put(url, json={"config": {"gnss_time_offset_s": number / 10}}, headers=headers).status_code
+
+    with ThreadPoolExecutor(8) as threads:
+        statuses = sorted(threads.map(put, range(1, 9)))
+    assert statuses == [201 if first == "register" else 200] + [412] * 7
 
 
 def test_state_before_anything_came(admin):

@@ -136,7 +136,7 @@ def test_durable_sequence_is_what_the_box_was_told(closed, any_database):
 
     def durable():
         with read(any_database) as connection:
-            return vehicles.durable_sequence(connection, pk, "b1")
+            return vehicles.durable_sequence(connection, pk, "b1", 10 * NS)
 
     with write(any_database) as connection:
         connection.execute(insert(tables.journal), rows(1))

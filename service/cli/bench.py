@@ -1,0 +1,163 @@
+"""``telefuse bench``: what this machine can do with this service, and where it would end first."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+from service.bench import kernel, load, report, stages
+from service.bench.fleet import record_drives
+from service.bench.target import Address
+from service.cli.ending import unwinding_on_sigterm
+from service.cli.progress import Progress
+from service.demo.service_process import ServiceProcess, free_port
+from service.errors import UsageError
+
+FELL_SHORT: Final = 1
+
+MAX_VEHICLES: Final = 1000
+"""Each is a connection and two threads of this process."""
+
+MAX_SECONDS: Final = 3600.0
+RATES_HZ: Final = (10.0, 1000.0)
+
+_HTTP: Final = re.compile(r"https?://[^\s/]+/?")
+_ZENOH: Final = re.compile(r"(tcp|tls|quic|ws|udp)/\S+:\d{1,5}\S*")
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    parser.add_argument("--vehicles", type=int, default=50, metavar="N", help="simulated vehicles (default 50)")
+    parser.add_argument(
+        "--rate", type=float, default=200.0, metavar="HZ", help="inertial samples a second of each (default 200)"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=8.0,
+        metavar="S",
+        help="how long the service is saturated, and then how long it is loaded by half for latency (default 8)",
+    )
+    parser.add_argument("--kernel", action="store_true", help="measure the navigation filter alone")
+    parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
+    parser.add_argument(
+        "--to",
+        metavar="URL",
+        help="load this running service, which must have no other traffic, instead of one of its own; "
+        "the vehicles are removed afterwards",
+    )
+    parser.add_argument("--token", metavar="KEY", help="API key for --to, with the scope admin")
+    parser.add_argument(
+        "--zenoh", metavar="ENDPOINT", help="with --to: send packets to this Zenoh endpoint (default: over HTTP)"
+    )
+    parser.add_argument("--http", action="store_true", help="without --to: send packets over HTTP, not Zenoh")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure; 1 if a packet was lost or taken twice, or an alert did not come."""
+    if arguments.kernel:
+        _print_kernel(as_json=arguments.json)
+        return 0
+    _check(arguments)
+    with unwinding_on_sigterm(), TemporaryDirectory(prefix="telefuse-bench-") as directory:
+        drives = record_drives(arguments.rate)
+        with Progress("stages", len(stages.STAGES)) as progress:
+            measured = stages.measure(drives[0], Path(directory), progress.update)
+        with _service(arguments, Path(directory) / "service") as address, _Phases() as phases:
+            loaded = load.measure(address, drives, arguments.vehicles, arguments.seconds, phases.tell)
+    if arguments.json:
+        print(json.dumps(report.figures(loaded, measured, arguments.rate)))
+    else:
+        print(report.table(loaded, measured, arguments.rate))
+    if shortfalls := loaded.shortfalls():
+        sys.stderr.write(f"telefuse bench: {'; '.join(shortfalls)}\n")
+        return FELL_SHORT
+    return 0
+
+
+@contextmanager
+def _service(arguments: argparse.Namespace, data_dir: Path) -> Iterator[Address]:
+    """The service to be loaded: the one asked for, or one of our own for so long."""
+    if arguments.to is not None:
+        yield Address(arguments.to.rstrip("/"), arguments.zenoh, arguments.token)
+        return
+    service = ServiceProcess(
+        data_dir,
+        free_port(),
+        free_port(),
+        log_level="warning",
+        retention_track_days="0",  # the simulated drives are of years ago
+        dangerous_allow_private_webhook_targets="true",
+    )
+    try:
+        service.start()
+        yield Address(service.http_url, None if arguments.http else service.zenoh_endpoint)
+    finally:
+        service.stop()
+
+
+class _Phases:
+    """A bar for each part of the load test."""
+
+    def __init__(self) -> None:
+        self._name = ""
+        self._bar: Progress | None = None
+
+    def __enter__(self) -> _Phases:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def tell(self, name: str, done: float, total: float) -> None:
+        """Show how far the part called ``name`` is."""
+        if name != self._name:
+            self._end()
+            self._name, self._bar = name, Progress(name, math.ceil(total)).__enter__()
+        if self._bar is not None:
+            self._bar.update(int(done))
+
+    def _end(self) -> None:
+        if self._bar is not None:
+            self._bar.__exit__(None, None, None)
+
+
+def _print_kernel(*, as_json: bool) -> None:
+    figures = kernel.measure()
+    if as_json:
+        print(json.dumps(figures))
+        return
+    low, high = figures["ns_per_epoch_quartiles"]
+    print(
+        f"{figures['ns_per_epoch']:.1f} ns an epoch (quartiles {low:.1f} to {high:.1f}) over {figures['packets']} "
+        f"packets of {figures['rate_hz']} samples; {figures['call_ns']:.0f} ns of a packet's time is the call itself"
+    )
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if not 1 <= arguments.vehicles <= MAX_VEHICLES:
+        raise UsageError(f"--vehicles {arguments.vehicles}: expected 1 to {MAX_VEHICLES}")
+    low, high = RATES_HZ
+    if not low <= arguments.rate <= high:
+        raise UsageError(f"--rate {arguments.rate:g}: expected {low:g} to {high:g} Hz")
+    if not 1.0 <= arguments.seconds <= MAX_SECONDS:
+        raise UsageError(f"--seconds {arguments.seconds:g}: expected 1 to {MAX_SECONDS:g}")
+    if arguments.to is None:
+        for option in ("zenoh", "token"):
+            if getattr(arguments, option) is not None:
+                raise UsageError(f"--{option} is for a running service; say which by --to http://HOST:PORT")
+        return
+    if arguments.http:
+        raise UsageError("--http is for a service of one's own; with --to packets go over HTTP unless --zenoh is given")
+    if not _HTTP.fullmatch(arguments.to):
+        raise UsageError(f"--to {arguments.to}: expected http://HOST:PORT")
+    if arguments.zenoh is not None and not _ZENOH.fullmatch(arguments.zenoh):
+        raise UsageError(f"--zenoh {arguments.zenoh}: expected tcp/HOST:PORT")

@@ -1,4 +1,4 @@
-"""Which aids are let in: in range, later than those before, and near an inertial sample. Refusals are counted."""
+"""Which aids are let in: in range, later than those before, near an inertial sample; and how far fixes are trusted."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ _VN, _VE, _VD = GNSS["vn_mps"], GNSS["ve_mps"], GNSS["vd_mps"]
 _SPEED, _COURSE = GNSS["speed_mps"], GNSS["course_rad"]
 _SD_H, _SD_V, _SD_VEL = GNSS["sd_h_m"], GNSS["sd_v_m"], GNSS["sd_v_mps"]
 _HDOP, _VDOP, _SATELLITES, _FIX = GNSS["hdop"], GNSS["vdop"], GNSS["satellites"], GNSS["fix"]
+_P_SD_H = PARAMETER["gnss_sd_h_m"]
+_P_UERE = PARAMETER["gnss_uere_m"]
+_P_HEIGHT = PARAMETER["gnss_height_factor"]
+_P_FLOOR = PARAMETER["gnss_sd_floor_m"]
 _P_SATELLITES = PARAMETER["gnss_min_satellites"]
 
 MAX_LATITUDE_RAD = math.radians(89.9)
@@ -55,6 +59,25 @@ def usable_fixes(fixes: FloatArray, par: FloatArray) -> BoolArray:
     for k in range(fixes.shape[0]):
         usable[k] = _usable_fix(fixes[k], par)
     return usable
+
+
+@njit(cache=True, nogil=True)
+def position_sd_m(fix: FloatArray, par: FloatArray) -> tuple[float, float]:
+    """Horizontal (per axis) and vertical sd of a fix: stated, else by HDOP, else the default."""
+    if fix[_SD_H] > 0.0:
+        horizontal = fix[_SD_H]
+    elif fix[_HDOP] > 0.0:
+        horizontal = fix[_HDOP] * par[_P_UERE]
+    else:
+        horizontal = par[_P_SD_H]
+    horizontal = max(horizontal, par[_P_FLOOR])
+    if fix[_SD_V] > 0.0:
+        vertical = max(fix[_SD_V], par[_P_FLOOR])
+    elif fix[_VDOP] > 0.0:
+        vertical = max(fix[_VDOP] * par[_P_UERE], par[_P_FLOOR])
+    else:
+        vertical = par[_P_HEIGHT] * horizontal
+    return horizontal, vertical
 
 
 def usable_fields(magnetic_b_ut: FloatArray) -> BoolArray:

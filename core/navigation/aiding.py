@@ -12,6 +12,7 @@ from numba import njit
 
 from core.earth import radii_m
 from core.measurements import GNSS, FloatArray, TimeArray
+from core.navigation.admission import position_sd_m
 from core.navigation.kalman import along, project, project_axis, update
 from core.navigation.mechanization import fold_position, matrix_of
 from core.navigation.state import (
@@ -64,14 +65,9 @@ from core.navigation.tuning import PARAMETER
 _LAT, _LON, _ALT = GNSS["lat_rad"], GNSS["lon_rad"], GNSS["alt_m"]
 _VN, _VE, _VD = GNSS["vn_mps"], GNSS["ve_mps"], GNSS["vd_mps"]
 _SPEED, _COURSE = GNSS["speed_mps"], GNSS["course_rad"]
-_SD_H, _SD_V, _SD_VEL = GNSS["sd_h_m"], GNSS["sd_v_m"], GNSS["sd_v_mps"]
-_HDOP, _VDOP = GNSS["hdop"], GNSS["vdop"]
+_SD_VEL = GNSS["sd_v_mps"]
 
-_P_SD_H = PARAMETER["gnss_sd_h_m"]
-_P_UERE = PARAMETER["gnss_uere_m"]
-_P_HEIGHT = PARAMETER["gnss_height_factor"]
 _P_SD_VEL = PARAMETER["gnss_sd_v_mps"]
-_P_FLOOR = PARAMETER["gnss_sd_floor_m"]
 _P_FLOOR_V = PARAMETER["gnss_sd_v_floor_mps"]
 _P_AGE = PARAMETER["gnss_max_age_s"]
 _P_GATE_POS = PARAMETER["gate_position"]
@@ -87,6 +83,7 @@ _P_NHC = PARAMETER["nhc_sd_mps"]
 _P_NHC_LEVER = PARAMETER["nhc_lever_m"]
 _P_NHC_SPEED = PARAMETER["nhc_min_speed_mps"]
 _P_SPEED = PARAMETER["speed_sd_mps"]
+_P_REVERSE_ODDS = PARAMETER["reverse_log_odds"]
 _P_ZUPT = PARAMETER["zupt_sd_mps"]
 _P_ZARU = PARAMETER["zaru_sd_radps"]
 
@@ -126,25 +123,6 @@ def correct(x: FloatArray, dx: FloatArray) -> None:
     x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3] = nw * k, nx * k, ny * k, nz * k
     for i in range(N_STATES):
         dx[i] = 0.0
-
-
-@njit(cache=True, nogil=True)
-def _position_sd_m(fix: FloatArray, par: FloatArray) -> tuple[float, float]:
-    """Horizontal (per axis) and vertical sd of a fix: stated, else by HDOP, else the default."""
-    if fix[_SD_H] > 0.0:
-        horizontal = fix[_SD_H]
-    elif fix[_HDOP] > 0.0:
-        horizontal = fix[_HDOP] * par[_P_UERE]
-    else:
-        horizontal = par[_P_SD_H]
-    horizontal = max(horizontal, par[_P_FLOOR])
-    if fix[_SD_V] > 0.0:
-        vertical = max(fix[_SD_V], par[_P_FLOOR])
-    elif fix[_VDOP] > 0.0:
-        vertical = max(fix[_VDOP] * par[_P_UERE], par[_P_FLOOR])
-    else:
-        vertical = par[_P_HEIGHT] * horizontal
-    return horizontal, vertical
 
 
 @njit(cache=True, nogil=True)
@@ -196,7 +174,7 @@ def fuse_position(
     nu_n = (fix[_LAT] - x[X_LAT]) * (meridian + x[X_ALT]) + lag_s * x[X_V] - ln
     nu_e = d_lon * (transverse + x[X_ALT]) * math.cos(x[X_LAT]) + lag_s * x[X_V + 1] - le
     nu_d = -(fix[_ALT] - x[X_ALT]) + lag_s * x[X_V + 2] - ld
-    sd_h, sd_v = _position_sd_m(fix, par)
+    sd_h, sd_v = position_sd_m(fix, par)
 
     rr = sd_h * sd_h
     snn, see, sne = p[0] + rr, p[n + 1] + rr, p[1]
@@ -406,6 +384,34 @@ def fuse_non_holonomic(
 
 
 @njit(cache=True, nogil=True)
+def _reverses(
+    x: FloatArray,
+    p: FloatArray,
+    forward_b: tuple[float, float, float],
+    reading_mps: float,
+    variance: float,
+    log_odds: float,
+) -> bool:
+    """Whether the vehicle rather goes backwards at the speed that its wheels say without a sign.
+
+    The two readings of a speed r against a forward speed f of variance s differ in log-likelihood by 2 r f / s;
+    ``log_odds`` is how much more often a vehicle goes forwards, as a logarithm.
+    """
+    c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
+    forward_n = (
+        c[0] * forward_b[0] + c[1] * forward_b[1] + c[2] * forward_b[2],
+        c[3] * forward_b[0] + c[4] * forward_b[1] + c[5] * forward_b[2],
+        c[6] * forward_b[0] + c[7] * forward_b[1] + c[8] * forward_b[2],
+    )
+    forward_mps = 0.0
+    for i in range(3):
+        forward_mps += forward_n[i] * x[X_V + i]
+        for j in range(3):
+            variance += forward_n[i] * p[(VEL + i) * N_STATES + VEL + j] * forward_n[j]
+    return -2.0 * reading_mps * forward_mps > log_odds * variance
+
+
+@njit(cache=True, nogil=True)
 def fuse_speed(
     x: FloatArray,
     ti: TimeArray,
@@ -415,14 +421,17 @@ def fuse_speed(
     work: Work,
     counts: TimeArray,
 ) -> None:
-    """Wheel speed: (1 + scale) times the speed along the vehicle's forward axis."""
+    """Wheel speed: (1 + scale) times the speed along the vehicle's forward axis, without its sign."""
     sp, cp = math.sin(x[X_MOUNT_PITCH]), math.cos(x[X_MOUNT_PITCH])
     sy, cy = math.sin(x[X_MOUNT_YAW]), math.cos(x[X_MOUNT_YAW])
     ti[T_SPEED] = ti[T_NOW]
+    forward_b = (cy * cp, sy * cp, -sp)
+    if _reverses(x, p, forward_b, reading_mps, par[_P_SPEED] ** 2, par[_P_REVERSE_ODDS]):
+        reading_mps = -reading_mps
     fused = _fuse_body_velocity(
         x,
         p,
-        (cy * cp, sy * cp, -sp),
+        forward_b,
         (-cy * sp, -sy * sp, -cp),
         (-sy * cp, cy * cp, 0.0),
         reading_mps,

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from core.earth import ned_offset_m, radii_m
 from core.measurements import GNSS, FloatArray, TimeArray
+from core.navigation.admission import position_sd_m
 from core.navigation.tuning import Tuning
 from core.rotation import matrix_from_rpy, quaternion_from_matrix
 
@@ -31,13 +32,16 @@ FIX_MAX_AGE_S = 2.0
 
 @dataclass(slots=True)
 class InitialState:
-    """What alignment found, with its spread; angles rad, vectors in n or b as named."""
+    """What alignment found, with its spread (of the position: horizontal per axis, and vertical).
+
+    Angles rad, vectors in n or b as named.
+    """
 
     t_ns: int
     lat_rad: float
     lon_rad: float
     alt_m: float
-    position_sd_m: float
+    position_sd_m: tuple[float, float]
     v_n: FloatArray
     velocity_sd_mps: float
     q_n_from_b: FloatArray
@@ -264,7 +268,7 @@ class Aligner:
         lat, lon = fixes[:, GNSS["lat_rad"]], fixes[:, GNSS["lon_rad"]]
         place = ned_offset_m(lat, lon, np.zeros(len(lat)), (float(lat[0]), float(lon[0]), 0.0))[:, :2]
         chords = np.diff(place, axis=0)
-        sd_m = self.fix_sd_m(fixes[-1])
+        sd_m, _ = self.fix_sd_m(fixes[-1])
         # The sum of the chords is the last position minus the first.
         return (times[1:] + times[:-1]) // 2, chords, 1.5 * sd_m
 
@@ -297,13 +301,9 @@ class Aligner:
     def _has_fix(self, t_ns: int) -> bool:
         return len(self.gnss_t_ns) > 0 and t_ns - self.gnss_t_ns[-1] <= FIX_MAX_AGE_S * 1e9
 
-    def fix_sd_m(self, fix: FloatArray) -> float:
-        """Horizontal sd (per axis) of a GNSS row, m."""
-        if fix[GNSS["sd_h_m"]] > 0:
-            return max(float(fix[GNSS["sd_h_m"]]), self.tuning.gnss_sd_floor_m)
-        if fix[GNSS["hdop"]] > 0:
-            return float(fix[GNSS["hdop"]]) * self.tuning.gnss_uere_m
-        return self.tuning.gnss_sd_h_m
+    def fix_sd_m(self, fix: FloatArray) -> tuple[float, float]:
+        """Horizontal (per axis) and vertical sd of a GNSS row, m."""
+        return position_sd_m(fix, self.tuning.as_array())
 
     def _velocity(self, t_ns: int, c_n_from_b: FloatArray) -> tuple[FloatArray, float]:
         wheel = self.speed_mps[self.speed_t_ns >= t_ns - SECOND_NS]
@@ -329,6 +329,7 @@ class Aligner:
         rested: bool = True,
     ) -> InitialState:
         fix = self.gnss[-1]
+        sd_h_m, sd_v_m = self.fix_sd_m(fix)
         age_s = (t_ns - int(self.gnss_t_ns[-1])) * 1e-9
         lat, lon = float(fix[GNSS["lat_rad"]]), float(fix[GNSS["lon_rad"]])
         meridian, transverse = radii_m(lat)
@@ -344,7 +345,7 @@ class Aligner:
             lat_rad=lat + v_n[0] * age_s / meridian,
             lon_rad=lon + v_n[1] * age_s / (transverse * math.cos(lat)),
             alt_m=alt,
-            position_sd_m=self.fix_sd_m(fix) + velocity_sd * age_s,
+            position_sd_m=(sd_h_m + velocity_sd * age_s, sd_v_m + velocity_sd * age_s),
             v_n=v_n,
             velocity_sd_mps=velocity_sd,
             q_n_from_b=quaternion_from_matrix(c_n_from_b),

@@ -249,9 +249,9 @@ class NavigationFilter:
         row = np.full((1, len(TRACK_COLUMNS)), np.nan)
         for name in ("lat_rad", "lon_rad", "alt_m", "vn_mps", "ve_mps", "vd_mps"):
             row[0, TRACK[name]] = fix[GNSS[name]]
-        sd = self._aligner.fix_sd_m(fix)
-        row[0, TRACK["sd_n_m"]] = row[0, TRACK["sd_e_m"]] = sd
-        row[0, TRACK["sd_d_m"]] = sd * self.config.tuning.gnss_height_factor
+        sd_h_m, sd_v_m = self._aligner.fix_sd_m(fix)
+        row[0, TRACK["sd_n_m"]] = row[0, TRACK["sd_e_m"]] = sd_h_m
+        row[0, TRACK["sd_d_m"]] = sd_v_m
         row[0, TRACK["cov_ne_m2"]] = 0.0
         row[0, TRACK["gnss_used"]] = 1.0
         row[0, TRACK["mode"]] = Mode.ALIGNING
@@ -277,8 +277,7 @@ class NavigationFilter:
         x[state.X_C0 : state.X_C0 + 9] = matrix_from_quaternion(x[state.X_Q : state.X_Q + 4]).reshape(9)
 
         sd = np.empty(n)
-        sd[state.POS : state.POS + 3] = found.position_sd_m
-        sd[state.POS + 2] *= t.gnss_height_factor
+        sd[state.POS : state.POS + 2], sd[state.POS + 2] = found.position_sd_m
         sd[state.VEL : state.VEL + 3] = found.velocity_sd_mps
         sd[state.ATT : state.ATT + 2] = found.tilt_sd_rad
         sd[state.ATT + 2] = found.yaw_sd_rad

@@ -100,6 +100,9 @@ class Tuning(Tunables):
     nhc_min_speed_mps: float = tunable(1.0, unit="m/s", low=0, high=10, source=_CHOICE)
     constraint_interval_s: float = tunable(0.2, unit="s", low=0.05, high=5, source="5 Hz, as the design measured")
     speed_sd_mps: float = tunable(0.25, unit="m/s", low=0.01, high=5, source="quantised speedometer; " + _CHOICE)
+    reverse_log_odds: float = tunable(
+        4.0, unit="1", low=0, high=20, source="choice: logarithm of 50, a car goes backwards 2 % of its time"
+    )
     speed_interval_s: float = tunable(0.18, unit="s", low=0, high=5, source="faster samples carry the same errors")
 
     zupt_sd_mps: float = tunable(0.03, unit="m/s", low=1e-3, high=1, source="rocking of a standing car")

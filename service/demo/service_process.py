@@ -20,6 +20,7 @@ READY_S: Final = 120.0
 """How long a start may take; on a machine that has never run it the filter is compiled first, some 20 s."""
 
 STOP_S: Final = 45.0
+POLL_S: Final = 0.05
 
 _COMMAND: Final = "import sys; from service.cli import main; sys.exit(main())"
 _LOG_TAIL: Final = 5
@@ -65,13 +66,16 @@ class ServiceProcess:
                 stderr=log,
             )
         deadline = time.monotonic() + ready_s
-        while not self._is_ready():
-            if self._process.poll() is not None:
-                raise ServiceFailedError(f"the service ended with status {self._process.returncode}: {self._tail()}")
-            if time.monotonic() > deadline:
-                self.kill()
-                raise ServiceFailedError(f"the service was not ready within {ready_s:g} s: {self._tail()}")
-            time.sleep(0.05)
+        with httpx.Client(base_url=self.http_url, timeout=2.0, trust_env=False) as client:
+            while not _is_ready(client):
+                if self._process.poll() is not None:
+                    raise ServiceFailedError(
+                        f"the service ended with status {self._process.returncode}: {self._tail()}"
+                    )
+                if time.monotonic() > deadline:
+                    self.kill()
+                    raise ServiceFailedError(f"the service was not ready within {ready_s:g} s: {self._tail()}")
+                time.sleep(POLL_S)
 
     def stop(self) -> int:
         """Ask it to finish and wait; returns its exit status, 0 for a clean end."""
@@ -94,15 +98,16 @@ class ServiceProcess:
         """Wait until it ends by itself; returns its exit status."""
         return 0 if self._process is None else self._process.wait()
 
-    def _is_ready(self) -> bool:
-        try:
-            return httpx.get(f"{self.http_url}/readyz", timeout=2.0).status_code == httpx.codes.OK
-        except httpx.HTTPError:
-            return False
-
     def _tail(self) -> str:
         lines = self.log_path.read_text(errors="replace").splitlines()
         return " | ".join(lines[-_LOG_TAIL:]) or f"it said nothing in {self.log_path}"
+
+
+def _is_ready(client: httpx.Client) -> bool:
+    try:
+        return client.get("/readyz").status_code == httpx.codes.OK
+    except httpx.HTTPError:
+        return False
 
 
 def free_port(preferred: int = 0) -> int:

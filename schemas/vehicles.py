@@ -25,13 +25,13 @@ class Model(BaseModel):
 
 
 class SensorCalibration(Model):
-    """Scale, misalignment and bias of a three-axis sensor: true = T(misalignment) · diag(scale) · (raw − bias).
+    """The nine parameters of a triad: measured = diag(scale) · M · true + bias.
 
-    Misalignments are the small angles by which the sensor's axes leave the orthogonal frame.
+    M is unit upper triangular with rows (1, −Mz, My), (0, 1, −Mx), (0, 0, 1).
     """
 
-    scale: tuple[Finite, Finite, Finite] = Field(default=(1.0, 1.0, 1.0), description="Factor of each axis.")
-    misalignment: tuple[Finite, Finite, Finite] = Field(default=(0.0, 0.0, 0.0), description="Small angles, rad.")
+    scale: tuple[Finite, Finite, Finite] = Field(default=(1.0, 1.0, 1.0), description="Measured over true, each axis.")
+    misalignment: tuple[Finite, Finite, Finite] = Field(default=(0.0, 0.0, 0.0), description="Mx, My, Mz, rad.")
     bias: tuple[Finite, Finite, Finite] = Field(
         default=(0.0, 0.0, 0.0), description="Offset of each axis, sensor units."
     )

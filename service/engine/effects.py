@@ -17,6 +17,7 @@ from sqlalchemy import Connection, and_, not_, or_, select, update
 
 from core.driving.trips import Trip
 from core.navigation.track import TRACK, Mode, Track
+from core.navigation.tuning import Tuning
 from core.session import Accident, Outputs
 from schemas.notifications import AccidentBody, EventType, TripBody
 from service.engine import checkpoints
@@ -32,6 +33,9 @@ logger = logging.getLogger(__name__)
 
 NAMESPACE: Final = UUID("6f1d3b0e-52c4-5d8e-9a57-0f6c1f7c2b11")
 """Ids of accidents, trips and events are UUIDv5 in this namespace; it must never change."""
+
+ROW_INTERVAL_NS: Final = round(Tuning().output_interval_s * 1e9)
+"""Grid of the session's rows; see ``core.navigation.kernel``."""
 
 TRIP_LINK_NS: Final = 3600 * 1_000_000_000
 """An accident belongs to the newest trip begun before it, unless that one came to its end longer ago than this."""
@@ -111,11 +115,19 @@ class Effects:
         rows = [
             self._track_row(t_ns, values)
             for t_ns, values in zip(track.t_ns[known].tolist(), track.values[known].tolist(), strict=True)
-            if t_ns % self._track_interval_ns == 0
+            if self._is_kept(t_ns, values)
         ]
         self._track += rows
         if rows:
             self.latest = rows[-1]
+
+    def _is_kept(self, t_ns: int, values: list[float]) -> bool:
+        """Whether a row is the first of its interval: rows fall on the first sample of each cell of their own grid.
+
+        While the filter aligns, rows come with the fixes, once a second; all are kept.
+        """
+        cells = max(self._track_interval_ns // ROW_INTERVAL_NS, 1)
+        return values[TRACK["mode"]] == Mode.ALIGNING or t_ns // ROW_INTERVAL_NS % cells == 0
 
     def _track_row(self, t_ns: int, values: list[float]) -> dict[str, Any]:
         value = dict(zip(TRACK, values, strict=True))

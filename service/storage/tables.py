@@ -182,6 +182,7 @@ events = Table(
     Column("stored_ns", BigInteger, nullable=False),
     Column("body", JSON, nullable=False),
     Index("ix_events_tenant_id_cursor", "tenant_id", "cursor"),
+    Index("ix_events_vehicle_pk", "vehicle_pk"),
     sqlite_autoincrement=True,
 )
 """What happened, told once: the catch-up feed, and what webhooks carry. ``received_ns`` is when the
@@ -219,6 +220,7 @@ deliveries = Table(
     UniqueConstraint("event_id", "endpoint_id"),
     Index("ix_deliveries_endpoint_id_id", "endpoint_id", "id"),
     Index("ix_deliveries_next_attempt_ns", "next_attempt_ns"),
+    Index("ix_deliveries_endpoint_id_next_attempt_ns", "endpoint_id", "next_attempt_ns"),
     sqlite_autoincrement=True,
 )
 """The outbox: a row an event an endpoint, written in the event's own transaction. ``status`` is

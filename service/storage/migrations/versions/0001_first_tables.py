@@ -138,6 +138,7 @@ def upgrade() -> None:
         sqlite_autoincrement=True,
     )
     op.create_index("ix_events_tenant_id_cursor", "events", ["tenant_id", "cursor"])
+    op.create_index("ix_events_vehicle_pk", "events", ["vehicle_pk"])
     op.create_table(
         "journal",
         sa.Column("id", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), autoincrement=True, nullable=False),
@@ -230,6 +231,7 @@ def upgrade() -> None:
     )
     op.create_index("ix_deliveries_endpoint_id_id", "deliveries", ["endpoint_id", "id"])
     op.create_index("ix_deliveries_next_attempt_ns", "deliveries", ["next_attempt_ns"])
+    op.create_index("ix_deliveries_endpoint_id_next_attempt_ns", "deliveries", ["endpoint_id", "next_attempt_ns"])
     op.create_table(
         "delivery_attempts",
         sa.Column("id", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), autoincrement=True, nullable=False),

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import FrameType
-from typing import NoReturn
+from typing import Final, NoReturn
 
 from service.demo import report
 from service.demo.alert_receiver import AlertReceiver
@@ -21,7 +21,7 @@ from service.demo.story import play
 from service.errors import UsageError
 from service.recordings.drive_folder import read_drive
 
-FELL_SHORT = 1
+FELL_SHORT: Final = 1
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

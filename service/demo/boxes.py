@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
 from uuid import uuid4
 
 from core.simulation.scenarios import simulate
@@ -19,10 +20,13 @@ from service.recordings.packets import drive_packets
 from service.recordings.simulated import drive_of
 from service.storage.tenants import DEFAULT_TENANT
 
-SCENARIO = "tunnel_crash"
-WIDE_SCENARIO = "wide_sensor"
-SEED = 1
-GIVE_UP_AFTER_S = 30.0
+SCENARIO: Final = "tunnel_crash"
+WIDE_SCENARIO: Final = "wide_sensor"
+"""The same drive as ``SCENARIO``, by another sensor."""
+
+SEED: Final = 1
+GIVE_UP_AFTER_S: Final = 30.0
+"""A box gives up once nothing was acknowledged for so long; the demo then says what was lost."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -14,7 +14,9 @@ from core.sensors import TriadCalibration
 from core.session import Session, SessionConfig
 from schemas.vehicles import SensorCalibration, VehicleConfig
 
+DETECTORS: Final[tuple[Literal["telefuse", "paper"], ...]] = ("telefuse", "paper")
 EARTH_RADIUS_M: Final = 6.37e6
+FULL_SCALE_MPS2: Final = 2 * 9.8
 """Close enough for the made-up drive of ``warm_up``."""
 
 
@@ -40,7 +42,7 @@ def open_session(config: VehicleConfig, snapshot: bytes | None) -> Session:
 
 
 def warm_up() -> None:
-    """Run a session over some seconds of made-up driving, so that no packet waits for the compiler."""
+    """Run sessions over some seconds of made-up driving and a crash, so that no packet waits for the compiler."""
     rate_hz, duration_s, speed_mps = 100, 12, 10.0
     t_s = np.arange(rate_hz * duration_s) / rate_hz
     fix_s = np.arange(duration_s)
@@ -49,17 +51,20 @@ def warm_up() -> None:
     gnss[:, GNSS["lat_rad"]] += fix_s * speed_mps / EARTH_RADIUS_M
     gnss[:, [GNSS["vn_mps"], GNSS["ve_mps"], GNSS["vd_mps"]]] = speed_mps, 0.0, 0.0
     gnss[:, GNSS["fix"]] = 3.0
-    session = Session(SessionConfig(mounting=Mounting(known=True)))
-    session.step(
-        Measurements(
-            imu_t_ns=np.rint(t_s * 1e9).astype(np.int64),
-            f_s=np.tile([0.0, 0.0, -9.8], (len(t_s), 1)),
-            omega_s=np.zeros((len(t_s), 3)),
-            gnss_t_ns=np.rint(fix_s * 1e9).astype(np.int64),
-            gnss=gnss,
-        )
+    f_s = np.tile([0.0, 0.0, -9.8], (len(t_s), 1))
+    f_s[(t_s >= 10.0) & (t_s < 10.2), 0] = -FULL_SCALE_MPS2
+    measurements = Measurements(
+        imu_t_ns=np.rint(t_s * 1e9).astype(np.int64),
+        f_s=f_s,
+        omega_s=np.zeros((len(t_s), 3)),
+        gnss_t_ns=np.rint(fix_s * 1e9).astype(np.int64),
+        gnss=gnss,
     )
-    session.snapshot()
+    for detector in DETECTORS:
+        config = SessionConfig(mounting=Mounting(known=True), accel_full_scale_mps2=FULL_SCALE_MPS2, detector=detector)
+        session = Session(config)
+        session.step(measurements)
+        Session.restore(config, session.snapshot())
 
 
 def _triad(calibration: SensorCalibration | None) -> TriadCalibration:

@@ -28,6 +28,10 @@ from core.snapshot import pack, unpack
 SNAPSHOT_VERSION: Final = 1
 RECENT_S: Final = 5.0
 """Track kept to place an impact that is decided after it began."""
+CARRIED_ON_S: Final = 2.0
+"""A row older than this is not carried on by its velocity: two missed fixes at 1 Hz."""
+UNSEEN_MPS: Final = 15.0
+"""What a vehicle may do unseen, for the spread of a place that is old: 54 km/h, a choice."""
 KNOWN_MOUNTING_SD_RAD: Final = 0.01
 """Spread of a mounting that was measured: half a degree, by hand."""
 
@@ -109,6 +113,7 @@ class Session:
         self._detector: Detector = (
             PaperRule(config.impact.paper) if config.detector == "paper" else ImpactDetector(config.impact)
         )
+        self._detector_stage = f"detector.{config.detector}"
         self._trips = TripTracker(config.trips)
         self._recent = Track(np.empty(0, np.int64), np.empty((0, len(TRACK_COLUMNS))))
 
@@ -156,19 +161,20 @@ class Session:
         arrays = unpack(data, SNAPSHOT_VERSION)
         session = cls(config)
         session._recent = Track(arrays.pop("recent.t"), arrays.pop("recent.rows"))  # type: ignore[arg-type]
-        parts: dict[str, Arrays] = {"filter": {}, "detector": {}, "trips": {}}
+        parts: dict[str, Arrays] = {}
         for key, value in arrays.items():
             stage, name = key.split("/", 1)
-            parts[stage][name] = value
+            parts.setdefault(stage, {})[name] = value
         session._filter.load(parts["filter"])
-        session._detector.load(parts["detector"])
+        if session._detector_stage in parts:  # else the vehicle's detector was changed: it starts anew
+            session._detector.load(parts[session._detector_stage])
         session._trips.load(parts["trips"])
         return session
 
     def _stages(self) -> list[tuple[str, Arrays]]:
         return [
             ("filter", self._filter.arrays()),
-            ("detector", self._detector.state()),
+            (self._detector_stage, self._detector.state()),
             ("trips", self._trips.state()),
         ]
 
@@ -210,24 +216,30 @@ def _told_until(track: Track, t_ns: int) -> Track:
 
 
 def _place(impact: Impact, track: Track) -> Accident:
-    """Where the vehicle was when the impact began: the row before it, carried on by its velocity."""
+    """Where the vehicle was when the impact began: the row before it, carried on by its velocity.
+
+    Where rows have ceased (the filter aligns anew), the last one stays the best that is known; what the vehicle may
+    have gone since is added to its spread instead.
+    """
     if not len(track.t_ns):
         nan = math.nan
         return Accident(impact, nan, nan, nan, nan, nan, nan, nan, Mode.ALIGNING)
     at = max(int(np.searchsorted(track.t_ns, impact.t_ns, side="right")) - 1, 0)
     row = {name: float(track.values[at, index]) for name, index in TRACK.items()}
-    ahead_s = (impact.t_ns - int(track.t_ns[at])) * 1e-9
-    north_m, east_m, down_m = (
-        row[name] * ahead_s if math.isfinite(row[name]) else 0.0 for name in ("vn_mps", "ve_mps", "vd_mps")
+    since_s = (impact.t_ns - int(track.t_ns[at])) * 1e-9
+    north_mps, east_mps, down_mps = (
+        row[name] if math.isfinite(row[name]) else 0.0 for name in ("vn_mps", "ve_mps", "vd_mps")
     )
+    ahead_s = since_s if abs(since_s) <= CARRIED_ON_S else 0.0
+    gone_m = 0.0 if ahead_s == since_s else since_s * max(math.hypot(north_mps, east_mps), UNSEEN_MPS)
     meridian, transverse = radii_m(row["lat_rad"])
     return Accident(
         impact=impact,
-        lat_rad=row["lat_rad"] + north_m / meridian,
-        lon_rad=row["lon_rad"] + east_m / (transverse * math.cos(row["lat_rad"])),
-        alt_m=row["alt_m"] - down_m,
-        sd_n_m=row["sd_n_m"],
-        sd_e_m=row["sd_e_m"],
+        lat_rad=row["lat_rad"] + north_mps * ahead_s / meridian,
+        lon_rad=row["lon_rad"] + east_mps * ahead_s / (transverse * math.cos(row["lat_rad"])),
+        alt_m=row["alt_m"] - down_mps * ahead_s,
+        sd_n_m=math.hypot(row["sd_n_m"], gone_m),
+        sd_e_m=math.hypot(row["sd_e_m"], gone_m),
         cov_ne_m2=row["cov_ne_m2"],
         heading_rad=row["yaw_rad"],
         mode=Mode(int(row["mode"])),

@@ -24,9 +24,9 @@ class AccidentProperties(BaseModel):
     status: str
     severity: Severity
     confidence: float = Field(ge=0, le=1)
-    sd_n_m: float = Field(description="Standard deviation of the place to the north; likewise east.")
-    sd_e_m: float
-    cov_ne_m2: float = Field(description="Covariance of the place's north and east errors.")
+    sd_n_m: float | None = Field(description="Standard deviation of the place to the north; likewise east.")
+    sd_e_m: float | None
+    cov_ne_m2: float | None = Field(description="Covariance of the place's north and east errors.")
     heading_deg: float | None
     mode: Literal["aligning", "aided", "coasting"] = Field(description="How the place was known; coasting: no GNSS.")
     detector: str
@@ -46,7 +46,7 @@ class AccidentFeature(BaseModel):
 
     type: Literal["Feature"]
     id: str
-    geometry: Point
+    geometry: Point | None = Field(description="Place of the impact; null where the box never had a fix.")
     properties: AccidentProperties
 
 

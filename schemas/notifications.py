@@ -40,12 +40,12 @@ class AccidentBody(_Body):
     status: str
     severity: str = Field(description="low_speed, severe or airbag")
     confidence: float = Field(ge=0, le=1)
-    lat_deg: float
-    lon_deg: float
-    alt_m: float
-    sd_n_m: float = Field(description="Standard deviation of the position to the north")
-    sd_e_m: float = Field(description="Standard deviation of the position to the east")
-    cov_ne_m2: float = Field(description="Covariance of the position's north and east errors")
+    lat_deg: float | None = Field(description="Place of the impact; null where the box never had a fix")
+    lon_deg: float | None
+    alt_m: float | None
+    sd_n_m: float | None = Field(description="Standard deviation of the position to the north")
+    sd_e_m: float | None = Field(description="Standard deviation of the position to the east")
+    cov_ne_m2: float | None = Field(description="Covariance of the position's north and east errors")
     heading_deg: float | None
     mode: str = Field(description="How the position was known: aided, or coasting without GNSS")
     delta_v_mps: float

@@ -14,6 +14,7 @@ VEHICLE_ID_PATTERN: Final = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}$"
 VehicleId = Annotated[str, StringConstraints(pattern=VEHICLE_ID_PATTERN)]
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Gain = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
 Metres = Annotated[float, Field(ge=-50, le=50, allow_inf_nan=False)]
 AngleDeg = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 
@@ -30,7 +31,7 @@ class SensorCalibration(Model):
     M is unit upper triangular with rows (1, −Mz, My), (0, 1, −Mx), (0, 0, 1).
     """
 
-    scale: tuple[Finite, Finite, Finite] = Field(default=(1.0, 1.0, 1.0), description="Measured over true, each axis.")
+    scale: tuple[Gain, Gain, Gain] = Field(default=(1.0, 1.0, 1.0), description="Measured over true, each axis.")
     misalignment: tuple[Finite, Finite, Finite] = Field(default=(0.0, 0.0, 0.0), description="Mx, My, Mz, rad.")
     bias: tuple[Finite, Finite, Finite] = Field(
         default=(0.0, 0.0, 0.0), description="Offset of each axis, sensor units."

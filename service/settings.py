@@ -75,7 +75,10 @@ class Settings(BaseSettings):
     )
 
     workers: int = Field(
-        default_factory=lambda: os.cpu_count() or 1, ge=1, le=256, description="Threads that fuse. Default: one a core."
+        default_factory=lambda: os.cpu_count() or 1,
+        ge=1,
+        le=256,
+        description="Threads that fuse and store; they take turns at the interpreter. Default: one a core.",
     )
     checkpoint_interval_s: float = Field(
         default=30.0,

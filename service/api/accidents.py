@@ -146,4 +146,6 @@ def _feature(row: AccidentRow) -> dict[str, Any]:
         "mode": MODES[row.mode],
         **row.detail,
     }
-    return geojson.feature(row.id, geojson.point(row.lon_deg, row.lat_deg, row.alt_m), properties)
+    placed = row.lat_deg is not None and row.lon_deg is not None and row.alt_m is not None
+    place = geojson.point(row.lon_deg, row.lat_deg, row.alt_m) if placed else None
+    return geojson.feature(row.id, place, properties)

@@ -80,10 +80,9 @@ class Effects:
         for trip in outputs.trips:
             self._trips[trip.start_t_ns] = (trip, packet.received_ns)
         for accident in outputs.accidents:
-            if all(math.isfinite(value) for value in _place(accident)):
-                self.accidents.append((accident, packet.received_ns))
-            else:
-                # A box that never had a fix: there is nowhere to send help, but an operator must see it.
+            self.accidents.append((accident, packet.received_ns))
+            if not math.isfinite(accident.lat_rad):
+                # A box that never had a fix: it is told all the same, and an operator must see it.
                 self.counts["accident.no_position"] += 1
                 logger.error("vehicle %s: an impact at %d ns has no place", self.ref.vehicle_id, accident.impact.t_ns)
 
@@ -187,12 +186,12 @@ class Effects:
             "status": "detected",
             "severity": str(impact.severity),
             "confidence": impact.confidence,
-            "lat_deg": math.degrees(accident.lat_rad),
-            "lon_deg": math.degrees(accident.lon_rad),
-            "alt_m": accident.alt_m,
-            "sd_n_m": accident.sd_n_m,
-            "sd_e_m": accident.sd_e_m,
-            "cov_ne_m2": accident.cov_ne_m2,
+            "lat_deg": _degrees_or_none(accident.lat_rad),
+            "lon_deg": _degrees_or_none(accident.lon_rad),
+            "alt_m": _finite_or_none(accident.alt_m),
+            "sd_n_m": _finite_or_none(accident.sd_n_m),
+            "sd_e_m": _finite_or_none(accident.sd_e_m),
+            "cov_ne_m2": _finite_or_none(accident.cov_ne_m2),
             "heading_deg": _heading_deg(accident.heading_rad),
         }
         felt: dict[str, Any] = {
@@ -262,17 +261,6 @@ class Effects:
             received_ns=received_ns,
             body=body.model_dump(),
         )
-
-
-def _place(accident: Accident) -> tuple[float, ...]:
-    return (
-        accident.lat_rad,
-        accident.lon_rad,
-        accident.alt_m,
-        accident.sd_n_m,
-        accident.sd_e_m,
-        accident.cov_ne_m2,
-    )
 
 
 def _finite_or_none(value: float) -> float | None:

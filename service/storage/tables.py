@@ -155,19 +155,20 @@ accidents = Table(
     Column("status", String(16), nullable=False),
     Column("severity", String(16), nullable=False),
     Column("confidence", Float(53), nullable=False),
-    Column("lat_deg", Float(53), nullable=False),
-    Column("lon_deg", Float(53), nullable=False),
-    Column("alt_m", Float(53), nullable=False),
-    Column("sd_n_m", Float(53), nullable=False),
-    Column("sd_e_m", Float(53), nullable=False),
-    Column("cov_ne_m2", Float(53), nullable=False),
+    Column("lat_deg", Float(53)),
+    Column("lon_deg", Float(53)),
+    Column("alt_m", Float(53)),
+    Column("sd_n_m", Float(53)),
+    Column("sd_e_m", Float(53)),
+    Column("cov_ne_m2", Float(53)),
     Column("heading_deg", Float(53)),
     Column("mode", SmallInteger, nullable=False),
     Column("detail", JSON, nullable=False),
     Index("ix_accidents_tenant_id_t_ns", "tenant_id", "t_ns"),
     Index("ix_accidents_vehicle_pk_t_ns", "vehicle_pk", "t_ns"),
 )
-"""``detail`` holds the impact's own figures (Δv, direction, peak, ...) by their names."""
+"""The place is null where a box never had a fix. ``detail`` holds the impact's own figures (Δv, direction, peak, ...)
+by their names."""
 
 events = Table(
     "events",

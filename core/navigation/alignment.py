@@ -17,7 +17,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from core.earth import ned_offset_m, radii_m
+from core.earth import STANDARD_GRAVITY_MPS2, ned_offset_m, radii_m
 from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation.admission import position_sd_m
 from core.navigation.tuning import Tuning
@@ -209,7 +209,10 @@ class Aligner:
         field_b = recent.mean(axis=0)
         if not 20.0 <= float(np.linalg.norm(field_b)) <= 75.0:
             return None  # the Earth's field is 22-67 uT: this is the car's iron
-        roll, pitch = level(self.rest[1:4])
+        _, force = self._rest_level()
+        if not self._is_gravity(force):
+            return None
+        roll, pitch = level(force)
         yaw = magnetic_azimuth(field_b, roll, pitch)
         return self._state(t_ns, matrix_from_rpy(roll, pitch, yaw), np.zeros(3), 0.1, self.tuning.align_magnetic_sd_rad)
 
@@ -229,11 +232,10 @@ class Aligner:
             return None
         move_t_ns, move_n, move_sd = moves
 
-        if rested:
-            bias = self.rest[4:7].copy()
-            roll, pitch = level(self.rest[1:4])
-        else:
-            bias, roll, pitch = self._motion_level(times, samples, move_t_ns, move_n)
+        bias, force = self._rest_level() if rested else self._motion_level(times, samples, move_t_ns, move_n)
+        if not self._is_gravity(force):
+            return None
+        roll, pitch = level(force)
         rotations = _integrate(times, samples[:, 3:] - bias, matrix_from_rpy(roll, pitch, 0.0))
         headings = np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])
         at_move = np.interp(move_t_ns, times, np.unwrap(headings))
@@ -272,10 +274,19 @@ class Aligner:
         # The sum of the chords is the last position minus the first.
         return (times[1:] + times[:-1]) // 2, chords, 1.5 * sd_m
 
+    def _rest_level(self) -> tuple[FloatArray, FloatArray]:
+        """Gyroscope bias, and the force of gravity, from the rest that was seen."""
+        return self.rest[4:7].copy(), self.rest[1:4].copy()
+
+    def _is_gravity(self, force_b: FloatArray) -> bool:
+        """Whether a mean force can be gravity, as felt; what is not comes of damaged samples or a crash."""
+        off_mps2 = float(np.linalg.norm(force_b)) - STANDARD_GRAVITY_MPS2
+        return abs(off_mps2) <= self.tuning.align_gravity_mps2
+
     def _motion_level(
         self, times: TimeArray, samples: FloatArray, move_t_ns: TimeArray, move_n: FloatArray
-    ) -> tuple[FloatArray, float, float]:
-        """Gyroscope bias, roll and pitch from a stretch in motion: gravity is what kinematics leaves."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """Gyroscope bias, and the force of gravity from a stretch in motion: what kinematics leaves."""
         speed = np.hypot(move_n[:, 0], move_n[:, 1])
         course = np.unwrap(np.arctan2(move_n[:, 1], move_n[:, 0]))
         seconds = (move_t_ns - move_t_ns[0]) * 1e-9
@@ -290,8 +301,7 @@ class Aligner:
                 covered = (times >= move_t_ns[0]) & (times <= move_t_ns[-1])
                 bias[2] = float(samples[covered, 5].mean()) - rate
         mean_speed = float(speed.mean())
-        roll, pitch = level(mean[:3] - np.array([forward, mean_speed * rate, 0.0]))
-        return bias, roll, pitch
+        return bias, mean[:3] - np.array([forward, mean_speed * rate, 0.0])
 
     def _has_velocity(self) -> bool:
         return len(self.gnss) > 0 and _fix_velocity(self.gnss[-1]) is not None

@@ -165,6 +165,13 @@ class Tuning(Tunables):
         2.0, unit="s", low=1, high=60, source="averages noise of the accelerometers below 1 mg"
     )
     align_moving_s: float = tunable(5.0, unit="s", low=2, high=60, source=_CHOICE)
+    align_gravity_mps2: float = tunable(
+        1.5,
+        unit="m/s2",
+        low=0.1,
+        high=5,
+        source="mean specific force against gravity; uncalibrated LSM303DLHC: 60 mg of bias and 4 % of scale, 1 m/s2",
+    )
     align_min_speed_mps: float = tunable(
         2.5, unit="m/s", low=0.5, high=20, source="GNSS course good to some 5 deg with 0.2 m/s"
     )

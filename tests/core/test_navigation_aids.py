@@ -1,0 +1,305 @@
+"""Every aid takes away the errors it sees, and a refused one changes nothing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from core.earth import radii_m
+from core.measurements import GNSS, GNSS_COLUMNS
+from core.navigation import aiding, state
+from core.navigation.mechanization import start_frame
+from core.navigation.state import ACCEL_BIAS, ATT, GYRO_BIAS, MOUNT_PITCH, MOUNT_YAW, POS, SPEED_SCALE, VEL
+from core.navigation.tuning import Tuning
+from core.rotation import matrix_from_quaternion, matrix_from_rpy, quaternion_from_matrix
+
+NOW_NS = 1_700_000_000_000_000_000
+EXACT = replace(
+    Tuning(),
+    gnss_sd_floor_m=1e-3,
+    gnss_sd_v_floor_mps=1e-3,
+    nhc_sd_mps=0.01,
+    nhc_lever_m=0.0,
+    speed_sd_mps=0.01,
+    zupt_sd_mps=1e-3,
+    zaru_sd_radps=1e-6,
+)
+"""Measurements as exact as the tunables allow."""
+LEVER_B = np.array([1.2, -0.6, -0.9])
+LAT, LON, ALT = 0.8, 0.3, 200.0
+RPY = (0.04, 0.05, 2.2)
+MOUNT_PITCH_RAD, MOUNT_YAW_RAD, SCALE = 0.03, -0.05, 0.02
+OMEGA_B, GYRO_BIAS_B = np.array([0.05, -0.1, 0.4]), np.array([0.01, -0.02, 0.005])
+
+
+def vehicle_axes(x):
+    """C_n_from_v of a state: the body's attitude and the box's pitch and yaw in the car."""
+    C_b_from_v = matrix_from_rpy(0.0, x[state.X_MOUNT_PITCH], x[state.X_MOUNT_YAW])
+    return matrix_from_quaternion(x[:4]) @ C_b_from_v
+
+
+@dataclass
+class Case:
+    """An estimate with an error along one state, the truth behind it, and P that knows of that error alone."""
+
+    x: np.ndarray
+    truth: np.ndarray
+    p: np.ndarray
+    ti: np.ndarray
+    counts: np.ndarray
+    par: np.ndarray
+
+    @classmethod
+    def of(cls, index, error, sd, v_vehicle=(15.0, 0.0, 0.0), tuning=EXACT):
+        truth, ti = np.zeros(state.NX), np.zeros(state.NT, np.int64)
+        truth[:4] = quaternion_from_matrix(matrix_from_rpy(*RPY))
+        truth[state.X_LAT], truth[state.X_LON], truth[state.X_ALT] = LAT, LON, ALT
+        truth[state.X_BG : state.X_BG + 3] = GYRO_BIAS_B
+        truth[state.X_W : state.X_W + 3] = OMEGA_B + GYRO_BIAS_B
+        truth[state.X_SCALE] = SCALE
+        truth[state.X_MOUNT_PITCH], truth[state.X_MOUNT_YAW] = MOUNT_PITCH_RAD, MOUNT_YAW_RAD
+        truth[state.X_V : state.X_V + 3] = vehicle_axes(truth) @ np.array(v_vehicle)
+        ti[state.T_NOW] = ti[state.T_COV] = ti[state.T_GNSS] = NOW_NS
+        start_frame(truth, ti)
+        x, minus = truth.copy(), np.zeros(state.N_STATES)
+        minus[index] = -error
+        aiding.correct(x, minus)
+        p = np.zeros(state.N_STATES**2)
+        p[index * (state.N_STATES + 1)] = sd**2
+        counts = np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64)
+        return cls(x, truth, p, ti, counts, tuning.as_array())
+
+    @property
+    def work(self):
+        return state.N_STATES, np.zeros(state.N_STATES), np.empty(state.N_STATES)
+
+    def fix(self, **more):
+        """What an exact receiver says of the truth at its antenna."""
+        C, y = matrix_from_quaternion(self.truth[:4]), self.truth
+        arm_n = C @ LEVER_B
+        v_n = y[state.X_V : state.X_V + 3] + C @ np.cross(OMEGA_B, LEVER_B)
+        meridian, transverse = radii_m(y[state.X_LAT])
+        values = {
+            "lat_rad": y[state.X_LAT] + (y[state.X_DR] + arm_n[0]) / (meridian + ALT),
+            "lon_rad": y[state.X_LON] + (y[state.X_DR + 1] + arm_n[1]) / ((transverse + ALT) * math.cos(LAT)),
+            "alt_m": y[state.X_ALT] - y[state.X_DR + 2] - arm_n[2],
+            "vn_mps": v_n[0],
+            "ve_mps": v_n[1],
+            "vd_mps": v_n[2],
+            "sd_h_m": 1e-3,
+            "sd_v_m": 1e-3,
+            "sd_v_mps": 1e-3,
+            "satellites": 9.0,
+            "fix": 3.0,
+        } | more
+        return row(**values)
+
+    def position(self, fix):
+        return aiding.fuse_position(self.x, self.ti, self.p, NOW_NS, fix, LEVER_B, self.par, self.work, self.counts)
+
+    def velocity(self, fix):
+        aiding.fuse_velocity(self.x, self.ti, self.p, fix, LEVER_B, self.par, self.work, self.counts)
+
+    def speed(self, reading_mps):
+        aiding.fuse_speed(self.x, self.ti, self.p, reading_mps, self.par, self.work, self.counts)
+
+    def left(self, index):
+        """The error that is left along a state."""
+        x, y = self.x, self.truth
+        if index < POS + 3:
+            meridian, transverse = radii_m(LAT)
+            metres = (meridian + ALT, (transverse + ALT) * math.cos(LAT), -1.0)[index]
+            at = state.X_LAT + index
+            return (y[at] - x[at]) * metres + y[state.X_DR + index] - x[state.X_DR + index]
+        if ATT <= index < ATT + 3:
+            turn = matrix_from_quaternion(y[:4]) @ matrix_from_quaternion(x[:4]).T
+            return 0.5 * (turn - turn.T)[(2, 0, 1)[index - ATT], (1, 2, 0)[index - ATT]]
+        place = {VEL: state.X_V, GYRO_BIAS: state.X_BG, ACCEL_BIAS: state.X_BA}
+        for group, first in place.items():
+            if group <= index < group + 3:
+                return y[first + index - group] - x[first + index - group]
+        at = {SPEED_SCALE: state.X_SCALE, MOUNT_PITCH: state.X_MOUNT_PITCH, MOUNT_YAW: state.X_MOUNT_YAW}[index]
+        return y[at] - x[at]
+
+
+def row(**values):
+    fix = np.full(len(GNSS_COLUMNS), np.nan)
+    for name, value in values.items():
+        fix[GNSS[name]] = value
+    return fix
+
+
+SECOND_ORDER = 0.02
+"""Share of an error that one exact update may leave: the measurement's own spread (below 0.5 %) and, of an angle
+of 4 mrad or a scale of 0.5 %, its products with itself and the other states' estimates."""
+
+
+@pytest.mark.parametrize(
+    ("index", "error", "sd"),
+    [
+        (POS, 2.0, 5.0),
+        (POS + 1, -2.0, 5.0),
+        (POS + 2, 3.0, 5.0),
+        (ATT, 4e-3, 0.1),
+        (ATT + 1, -4e-3, 0.1),
+        (ATT + 2, 4e-3, 0.1),
+    ],
+)
+def test_a_position_takes_away_what_it_sees(index, error, sd):
+    case = Case.of(index, error, sd)
+    assert case.left(index) == pytest.approx(error, rel=1e-3)
+    # Of an attitude error the height row and the gate leave out what the lever arm makes: no height, and 2 mm.
+    assert case.position(case.fix() if index < ATT else case.fix(alt_m=math.nan, sd_h_m=2e-3))
+    assert abs(case.left(index)) < SECOND_ORDER * abs(error)
+    assert case.counts[state.A_POSITION, state.FUSED] == 1
+
+
+@pytest.mark.parametrize(
+    ("index", "form"),
+    [(VEL, "velocity"), (VEL + 1, "velocity"), (VEL + 2, "velocity"), (VEL, "course"), (VEL + 1, "course")],
+)
+def test_a_velocity_takes_away_what_it_sees(index, form):
+    case = Case.of(index, 0.3, 1.0)
+    fix = case.fix()
+    if form == "course":
+        north, east = fix[GNSS["vn_mps"]], fix[GNSS["ve_mps"]]
+        nothing = dict.fromkeys(("vn_mps", "ve_mps", "vd_mps"), math.nan)
+        fix = case.fix(speed_mps=math.hypot(north, east), course_rad=math.atan2(east, north) % math.tau, **nothing)
+    case.velocity(fix)
+    assert abs(case.left(index)) < SECOND_ORDER * 0.3
+    assert case.counts[state.A_VELOCITY, state.FUSED] == 1
+
+
+@pytest.mark.parametrize(
+    ("index", "error", "sd"),
+    [
+        (VEL, 0.2, 1.0),
+        (VEL + 1, 0.2, 1.0),
+        (VEL + 2, -0.2, 1.0),
+        (ATT, 4e-3, 0.1),
+        (ATT + 1, 4e-3, 0.1),
+        (ATT + 2, -4e-3, 0.1),
+        (MOUNT_PITCH, 4e-3, 0.1),
+        (MOUNT_YAW, -4e-3, 0.1),
+    ],
+)
+def test_going_where_the_wheels_point_takes_away_what_it_sees(index, error, sd):
+    case = Case.of(index, error, sd)
+    aiding.fuse_non_holonomic(case.x, case.p, case.par, case.work, case.counts)
+    assert abs(case.left(index)) < SECOND_ORDER * abs(error)
+    assert case.counts[state.A_NHC, state.FUSED] == 2
+
+
+@pytest.mark.parametrize(
+    ("index", "error", "sd"),
+    [
+        (VEL, 0.2, 1.0),
+        (VEL + 1, 0.2, 1.0),
+        (VEL + 2, -0.2, 10.0),
+        (ATT, 4e-3, 0.3),
+        (ATT + 1, 4e-3, 0.3),
+        (ATT + 2, -4e-3, 0.3),
+        (SPEED_SCALE, 5e-3, 0.1),
+        (MOUNT_PITCH, 4e-3, 0.3),
+        (MOUNT_YAW, -4e-3, 0.3),
+    ],
+)
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_wheel_speed_takes_away_what_it_sees(index, error, sd, way):
+    # Sliding sideways and lifting, so that attitude and mounting are seen along the forward axis too.
+    case = Case.of(index, error, sd, v_vehicle=(way * 12.0, 4.0, -3.0))
+    case.speed((1.0 + SCALE) * 12.0)  # the same when it reverses
+    assert abs(case.left(index)) < SECOND_ORDER * abs(error)
+    assert case.counts[state.A_SPEED, state.FUSED] == 1
+
+
+@pytest.mark.parametrize(
+    ("index", "error", "sd"),
+    [*((VEL + i, 0.05, 1.0) for i in range(3)), *((GYRO_BIAS + i, 1e-3, 1e-2) for i in range(3))],
+)
+def test_standing_takes_away_what_it_sees(index, error, sd):
+    case = Case.of(index, error, sd, v_vehicle=(0.0, 0.0, 0.0))
+    aiding.fuse_standstill(case.x, case.p, GYRO_BIAS_B, case.par, case.work, case.counts)
+    assert abs(case.left(index)) < SECOND_ORDER * abs(error)
+    assert case.counts[state.A_ZUPT, state.FUSED] == case.counts[state.A_ZARU, state.FUSED] == 1
+
+
+@pytest.mark.parametrize("heading", [0.1, 2.2, -1.6])
+def test_a_position_moves_with_the_vehicle_between_its_time_and_now(heading):
+    case = Case.of(POS, 0.0, 5.0)
+    lag_s, fix = 0.4, case.fix()
+    v_n = case.truth[state.X_V : state.X_V + 3]
+    meridian, transverse = radii_m(LAT)
+    fix[GNSS["lat_rad"]] -= lag_s * v_n[0] / (meridian + ALT)
+    fix[GNSS["lon_rad"]] -= lag_s * v_n[1] / ((transverse + ALT) * math.cos(LAT))
+    before_ns = NOW_NS - round(lag_s * 1e9)
+    aiding.fuse_position(case.x, case.ti, case.p, before_ns, fix, LEVER_B, case.par, case.work, case.counts)
+    assert abs(case.left(POS)) < 1e-3
+
+
+def test_spreads_come_from_the_receiver_then_from_dilution_then_from_the_default():
+    def spread_after(**said):
+        case = Case.of(POS, 0.0, 1e3, tuning=Tuning())
+        unsaid = dict.fromkeys(("sd_h_m", "sd_v_m"), math.nan)
+        case.position(case.fix(**(unsaid | said)))
+        return math.sqrt(case.p[0])
+
+    t = Tuning()
+    assert spread_after(sd_h_m=4.0, hdop=1.0) == pytest.approx(4.0, rel=1e-4)  # P before is 1000 m: a share of 1e-5
+    assert spread_after(sd_h_m=0.01) == pytest.approx(t.gnss_sd_floor_m, rel=1e-4)
+    assert spread_after(hdop=1.5) == pytest.approx(1.5 * t.gnss_uere_m, rel=1e-4)
+    assert spread_after() == pytest.approx(t.gnss_sd_h_m, rel=1e-4)
+
+
+# What is refused
+
+
+def nominal(x):
+    """The part of the state that says where the vehicle is and what its sensors are like."""
+    return np.concatenate([x[: state.X_F], x[state.X_DR : state.X_DR + 3]])
+
+
+def test_a_refused_position_or_velocity_changes_nothing_but_the_memory_of_it():
+    case = Case.of(POS, 0.0, 1.0)
+    x, p = nominal(case.x).copy(), case.p.copy()
+    far = case.fix()
+    far[GNSS["lat_rad"]] += 200.0 / 6.37e6
+    assert not case.position(far)
+    case.velocity(case.fix(vn_mps=80.0))
+    assert nominal(case.x).tobytes() == x.tobytes()
+    assert case.p.tobytes() == p.tobytes()
+    assert case.counts[state.A_POSITION, state.REJECTED_GATE] == case.counts[state.A_VELOCITY, state.REJECTED_GATE] == 1
+    assert case.ti[state.T_GNSS] == NOW_NS
+    assert case.ti[state.I_GNSS_USED] == 0
+
+
+def test_a_refused_height_lets_its_own_spread_grow_until_it_is_believed():
+    case = Case.of(POS + 2, 300.0, 1.0)
+    for _ in range(20):
+        case.position(case.fix())
+        if case.counts[state.A_HEIGHT, state.FUSED]:
+            break
+    assert 1 <= case.counts[state.A_HEIGHT, state.REJECTED_GATE] <= 10
+    assert abs(case.left(POS + 2)) < 3.0
+
+
+def test_a_skid_is_refused_and_slow_driving_is_not_constrained():
+    skid = Case.of(VEL, 0.0, 0.0, v_vehicle=(15.0, 12.0, 0.0))
+    x = nominal(skid.x).copy()
+    aiding.fuse_non_holonomic(skid.x, skid.p, Tuning().as_array(), skid.work, skid.counts)
+    assert skid.counts[state.A_NHC, state.REJECTED_GATE] == 1
+    slow = Case.of(VEL, 0.0, 0.0, v_vehicle=(0.3, 0.1, 0.0))
+    aiding.fuse_non_holonomic(slow.x, slow.p, Tuning().as_array(), slow.work, slow.counts)
+    assert slow.counts[state.A_NHC, state.REJECTED_RANGE] == 1
+    assert nominal(skid.x) == pytest.approx(x, abs=1e-12)
+
+
+def test_wheels_that_spin_are_refused():
+    case = Case.of(VEL, 0.0, 0.1)
+    x = nominal(case.x).copy()
+    case.speed(40.0)
+    assert case.counts[state.A_SPEED, state.REJECTED_GATE] == 1
+    assert nominal(case.x).tobytes() == x.tobytes()

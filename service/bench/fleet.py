@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -20,6 +21,8 @@ DRIVE_S: Final = 600.0
 
 PARKED_NS: Final = 600 * 1_000_000_000
 """Pause before a vehicle drives the same again."""
+
+GOLDEN_RATIO: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 REPEAT_EVERY: Final = 50
 """One packet in so many goes out twice, as on a bad radio link; the service must take it once."""
@@ -56,10 +59,11 @@ def record_drives(rate_hz: float) -> tuple[RecordedDrive, ...]:
 
 
 class RepeatingLink:
-    """A link that sends some packets twice."""
+    """A link that sends one packet in ``REPEAT_EVERY`` twice; ``offset`` says which."""
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: Link, offset: int) -> None:
         self._link = link
+        self._offset = offset
         self.repeated = 0
 
     def open(self, listener: LinkListener) -> None:
@@ -69,7 +73,7 @@ class RepeatingLink:
     def send(self, packets: Sequence[Outgoing]) -> None:
         """Send packets, then some of them again; raises LinkError."""
         self._link.send(packets)
-        again = [packet for packet in packets if packet.sequence % REPEAT_EVERY == 0]
+        again = [packet for packet in packets if (packet.sequence + self._offset) % REPEAT_EVERY == 0]
         if again:
             self._link.send(again)
             self.repeated += len(again)
@@ -80,12 +84,15 @@ class RepeatingLink:
 
 
 class SimulatedVehicle:
-    """A vehicle's box with all that it will ever have to send."""
+    """The box of the fleet's vehicle ``number``, with all that it will ever have to send."""
 
-    def __init__(self, vehicle_id: str, boot_id: str, link: Link, drive: RecordedDrive, first: int) -> None:
+    def __init__(self, vehicle_id: str, boot_id: str, link: Link, drives: Sequence[RecordedDrive], number: int) -> None:
         self.vehicle_id = vehicle_id
-        self.link = RepeatingLink(link)
+        self.link = RepeatingLink(link, number)
         self.box = BlackBox(self.link, boot_id)
+        drive = drives[number % len(drives)]
+        # However many vehicles there are, these steps spread their crashes evenly over the test.
+        first = int(len(drive.packets) * (number * GOLDEN_RATIO % 1.0))
         self._packets = drive.endless(vehicle_id, boot_id, first)
 
     def send_next(self, timeout_s: float) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 from uuid import uuid4
@@ -97,7 +97,9 @@ def measure(
         target.register(names)
         secret = target.listen(receiver.url)
         receiver.secret = secret or ""
-        fleet = [_vehicle(name, run_id, address, drives, number) for number, name in enumerate(names)]
+        fleet = [
+            SimulatedVehicle(name, run_id, address.link(name), drives, number) for number, name in enumerate(names)
+        ]
         with _Fleet(target, fleet, tell) as driver:
             driver.connect()
             packets_per_s = driver.saturate(seconds)
@@ -131,23 +133,11 @@ def measure(
     )
 
 
-def _vehicle(
-    name: str, boot_id: str, address: Address, drives: Sequence[RecordedDrive], number: int
-) -> SimulatedVehicle:
-    drive = drives[number % len(drives)]
-    # Golden-ratio steps: however many vehicles there are, their crashes spread over the whole test.
-    first = int(len(drive.packets) * (number * 0.618034 % 1.0))
-    return SimulatedVehicle(name, boot_id, address.link(name), drive, first)
-
-
-def _await_alerts(receiver: AlertReceiver, accidents: dict[str, int]) -> dict[str, int]:
-    """When each accident's first alert arrived, UTC nanoseconds."""
-
-    def arrived() -> dict[str, int]:
-        return {one.message["data"]["accident_id"]: one.arrived_ns for one in reversed(came) if one.verified}
-
-    came = receiver.wait_until(lambda all_: len(all_) >= len(accidents), DELIVERED_WITHIN_S)
-    return {name: t_ns for name, t_ns in arrived().items() if name in accidents}
+def _await_alerts(receiver: AlertReceiver, accidents: Collection[str]) -> dict[str, int]:
+    """When the first alert of each of these accidents arrived, UTC nanoseconds."""
+    came = receiver.wait_until(lambda received: len(received) >= len(accidents), DELIVERED_WITHIN_S)
+    arrived_ns = {one.message["data"]["accident_id"]: one.arrived_ns for one in reversed(came) if one.verified}
+    return {name: arrived_ns[name] for name in accidents if name in arrived_ns}
 
 
 class _Fleet:

@@ -43,7 +43,7 @@ def figures(load: LoadFigures, stages: StageFigures, rate_hz: float) -> dict[str
 def table(load: LoadFigures, stages: StageFigures, rate_hz: float) -> str:
     """The same, to be read."""
     lines = [
-        f"{load.vehicles} vehicles, packets of 1 s at {rate_hz:g} Hz, for {load.seconds:g} s as fast as they are fused:",
+        f"{load.vehicles} vehicles, packets of 1 s at {rate_hz:g} Hz, as fast as fused, for {load.seconds:g} s:",
         f"  {load.packets_per_s:,.0f} packets/s, {load.packets_per_s / load.vehicles:.1f} times real time; "
         f"that is {load.packets_per_s:,.0f} vehicles in real time",
         f"  sent {load.sent}, acknowledged {load.acknowledged}, lost {load.lost}",

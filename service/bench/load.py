@@ -29,6 +29,9 @@ UNDER_WAY_PER_VEHICLE: Final = 64
 LATENCY_LOAD: Final = 0.5
 """Share of the throughput at which latency is measured: what one would run a machine at."""
 
+WARM_UP_PACKETS: Final = 15
+"""Of each vehicle, before the test: a session aligns within some seconds of driving, once."""
+
 POLL_S: Final = 0.05
 PACE_S: Final = 0.002
 PATIENCE_S: Final = 60.0
@@ -163,8 +166,9 @@ class _Fleet:
             vehicle.box.stop()
 
     def connect(self) -> None:
-        """Send each vehicle's first packet, so that everyone is connected and known before a clock runs."""
-        self._send(len(self._vehicles))
+        """Send every vehicle's first packets, so that all are connected, known and aligned before a clock runs."""
+        self._tell("connecting", 0.0, 1.0)
+        self._send(WARM_UP_PACKETS * len(self._vehicles))
         self._settle("connecting")
 
     def saturate(self, seconds: float) -> float:

@@ -46,7 +46,7 @@ from service.storage.vehicles import VehicleDirectory, VehicleRef
 from service.storage.webhooks import EndpointRow
 from service.webhooks import signing
 
-BUDGET_S: Final = 1.2
+BUDGET_S: Final = 1.0
 """How long each stage runs."""
 
 VEHICLES: Final = 256

@@ -79,6 +79,30 @@ class _Second:
     still: bool
 
 
+@dataclass(frozen=True, slots=True)
+class _Level:
+    """Gravity as the box feels it, with the spread of its direction, and what the gyroscopes read of no turn."""
+
+    force_b: FloatArray
+    tilt_sd_rad: float
+    gyro_bias_radps: FloatArray
+    gyro_bias_sd_radps: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Moves:
+    """Horizontal moves in n, (n, 2), that all point where the vehicle went at ``t_ns``, with its velocities then.
+
+    ``sum_sd`` is the sd of their coherent sum, ``tilt_sd_rad`` that of a level found by their accelerations.
+    """
+
+    t_ns: TimeArray
+    move_n: FloatArray
+    v_n: FloatArray
+    sum_sd: float
+    tilt_sd_rad: float
+
+
 @dataclass(slots=True)
 class Aligner:
     """Collects samples until position, level and heading are known. State is its arrays."""
@@ -141,7 +165,7 @@ class Aligner:
             self.rest[:] = 0.0
             self.imu_t_ns, self.imu = self.imu_t_ns[cut:], self.imu[cut:]
         second = self._reduce(t_ns)
-        if second is not None and second.still and not self._aids_move(t_ns):
+        if second is not None and second.still and not self._aids_move(t_ns) and self._is_as_at_rest(second):
             self._add_rest(second, t_ns)
             found = self._at_rest(t_ns)
         else:
@@ -173,7 +197,16 @@ class Aligner:
         if not len(recent):
             return False
         v = _fix_velocity(recent[-1])
-        return v is not None and math.hypot(v[0], v[1]) > limit
+        if v is not None:
+            return math.hypot(v[0], v[1]) > limit
+        moved = _offsets_m(recent)[-1]
+        return math.hypot(moved[0], moved[1]) > 2.0 * self.fix_sd_m(recent[-1])[0]
+
+    def _is_as_at_rest(self, second: _Second) -> bool:
+        """Whether a quiet second feels what the rest before it felt: pulling away evenly is quiet too."""
+        rested = self.rest[0] >= self.tuning.align_still_s
+        change = float(np.linalg.norm(second.mean_f - self.rest[1:4]))
+        return not rested or change <= self.tuning.still_mean_accel_mps2
 
     def _add_rest(self, second: _Second, t_ns: int) -> None:
         if self.rest_end_ns[0] != t_ns - SECOND_NS:
@@ -209,12 +242,13 @@ class Aligner:
         field_b = recent.mean(axis=0)
         if not 20.0 <= float(np.linalg.norm(field_b)) <= 75.0:
             return None  # the Earth's field is 22-67 uT: this is the car's iron
-        _, force = self._rest_level()
-        if not self._is_gravity(force):
+        felt = self._rest_level()
+        if not self._is_gravity(felt.force_b):
             return None
-        roll, pitch = level(force)
+        roll, pitch = level(felt.force_b)
         yaw = magnetic_azimuth(field_b, roll, pitch)
-        return self._state(t_ns, matrix_from_rpy(roll, pitch, yaw), np.zeros(3), 0.1, self.tuning.align_magnetic_sd_rad)
+        attitude = matrix_from_rpy(roll, pitch, yaw)
+        return self._state(t_ns, attitude, np.zeros(3), 0.1, self.tuning.align_magnetic_sd_rad, felt)
 
     def _in_motion(self, t_ns: int) -> InitialState | None:
         if not self._has_fix(t_ns) or not len(self.imu_t_ns):
@@ -227,15 +261,16 @@ class Aligner:
         times, samples = self.imu_t_ns[inside], self.imu[inside]
         if len(times) < 10:
             return None
-        moves = self._moves(start_ns, t_ns)
+        moves = self._moves(start_ns)
         if moves is None:
             return None
-        move_t_ns, move_n, move_sd = moves
+        move_t_ns, move_n, move_sd = moves.t_ns, moves.move_n, moves.sum_sd
 
-        bias, force = self._rest_level() if rested else self._motion_level(times, samples, move_t_ns, move_n)
-        if not self._is_gravity(force):
+        felt = self._rest_level() if rested else self._motion_level(times, samples, moves)
+        if not self._is_gravity(felt.force_b):
             return None
-        roll, pitch = level(force)
+        bias = felt.gyro_bias_radps
+        roll, pitch = level(felt.force_b)
         rotations = _integrate(times, samples[:, 3:] - bias, matrix_from_rpy(roll, pitch, 0.0))
         headings = np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0])
         at_move = np.interp(move_t_ns, times, np.unwrap(headings))
@@ -248,13 +283,10 @@ class Aligner:
         v_n, velocity_sd = self._velocity(t_ns, c_n_from_b)
         if math.hypot(v_n[0], v_n[1]) < self.tuning.align_min_speed_mps:
             return None
-        return self._state(t_ns, c_n_from_b, v_n, velocity_sd, max(yaw_sd, 0.03), bias, rested)
+        return self._state(t_ns, c_n_from_b, v_n, velocity_sd, max(yaw_sd, 0.03), felt)
 
-    def _moves(self, start_ns: int, t_ns: int) -> tuple[TimeArray, FloatArray, float] | None:
-        """Instants, horizontal moves (n, 2) in n, and the sd of their coherent sum.
-
-        GNSS velocities where the receiver gives them, else chords between successive positions.
-        """
+    def _moves(self, start_ns: int) -> _Moves | None:
+        """GNSS velocities where the receiver gives them, else chords between successive positions."""
         inside = self.gnss_t_ns >= start_ns
         times, fixes = self.gnss_t_ns[inside], self.gnss[inside]
         if len(times) < 2:
@@ -266,42 +298,46 @@ class Aligner:
             worst = float(np.nanmax(sd)) if np.isfinite(sd).any() else self.tuning.gnss_sd_v_mps
             # Errors of successive velocities are far from independent: three are worth one.
             moves = np.array([velocities[i] for i in fast], dtype=float)[:, :2]
-            return times[fast], moves, max(worst, self.tuning.gnss_sd_v_mps) * math.sqrt(3.0 * len(fast))
-        lat, lon = fixes[:, GNSS["lat_rad"]], fixes[:, GNSS["lon_rad"]]
-        place = ned_offset_m(lat, lon, np.zeros(len(lat)), (float(lat[0]), float(lon[0]), 0.0))[:, :2]
-        chords = np.diff(place, axis=0)
+            sum_sd = max(worst, self.tuning.gnss_sd_v_mps) * math.sqrt(3.0 * len(fast))
+            return _Moves(times[fast], moves, moves, sum_sd, self.tuning.align_tilt_moving_sd_rad)
+        chords = np.diff(_offsets_m(fixes), axis=0)
         sd_m, _ = self.fix_sd_m(fixes[-1])
         # The sum of the chords is the last position minus the first.
-        return (times[1:] + times[:-1]) // 2, chords, 1.5 * sd_m
+        return _Moves(
+            (times[1:] + times[:-1]) // 2,
+            chords,
+            chords / (np.diff(times) * 1e-9)[:, None],
+            1.5 * sd_m,
+            self.tuning.align_tilt_unsure_sd_rad,
+        )
 
-    def _rest_level(self) -> tuple[FloatArray, FloatArray]:
-        """Gyroscope bias, and the force of gravity, from the rest that was seen."""
-        return self.rest[4:7].copy(), self.rest[1:4].copy()
+    def _rest_level(self) -> _Level:
+        """From the rest that was seen."""
+        t = self.tuning
+        bias_sd = max(t.zaru_sd_radps / math.sqrt(max(self.rest[0], 1.0)), 1e-6)
+        return _Level(self.rest[1:4].copy(), t.align_tilt_still_sd_rad, self.rest[4:7].copy(), bias_sd)
 
     def _is_gravity(self, force_b: FloatArray) -> bool:
         """Whether a mean force can be gravity, as felt; what is not comes of damaged samples or a crash."""
         off_mps2 = float(np.linalg.norm(force_b)) - STANDARD_GRAVITY_MPS2
         return abs(off_mps2) <= self.tuning.align_gravity_mps2
 
-    def _motion_level(
-        self, times: TimeArray, samples: FloatArray, move_t_ns: TimeArray, move_n: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Gyroscope bias, and the force of gravity from a stretch in motion: what kinematics leaves."""
-        speed = np.hypot(move_n[:, 0], move_n[:, 1])
-        course = np.unwrap(np.arctan2(move_n[:, 1], move_n[:, 0]))
-        seconds = (move_t_ns - move_t_ns[0]) * 1e-9
-        bias = np.zeros(3)
-        mean = samples.mean(axis=0)
-        forward, rate = 0.0, mean[5]
+    def _motion_level(self, times: TimeArray, samples: FloatArray, moves: _Moves) -> _Level:
+        """From a stretch in motion: gravity is what kinematics leaves of the mean force."""
+        speed = np.hypot(moves.v_n[:, 0], moves.v_n[:, 1])
+        seconds = (moves.t_ns - moves.t_ns[0]) * 1e-9
+        bias, mean = np.zeros(3), samples.mean(axis=0)
+        forward, rate, tilt_sd = 0.0, float(mean[5]), self.tuning.align_tilt_unsure_sd_rad
         if len(seconds) >= 4 and seconds[-1] > 0.6 * self.tuning.align_moving_s and speed.min() > 1.0:
+            course = np.unwrap(np.arctan2(moves.v_n[:, 1], moves.v_n[:, 0]))
             rate = float(np.polyfit(seconds, course, 1)[0])
-            spacing = float(np.median(np.diff(seconds)))
-            forward = float(np.polyfit(seconds, speed / (1.0 if self._has_velocity() else spacing), 1)[0])
+            forward = float(np.polyfit(seconds, speed, 1)[0])
+            tilt_sd = moves.tilt_sd_rad
             if self._has_velocity():
-                covered = (times >= move_t_ns[0]) & (times <= move_t_ns[-1])
+                covered = (times >= moves.t_ns[0]) & (times <= moves.t_ns[-1])
                 bias[2] = float(samples[covered, 5].mean()) - rate
-        mean_speed = float(speed.mean())
-        return bias, mean[:3] - np.array([forward, mean_speed * rate, 0.0])
+        force = mean[:3] - np.array([forward, float(speed.mean()) * rate, 0.0])
+        return _Level(force, tilt_sd, bias, self.tuning.align_gyro_bias_moving_sd_radps)
 
     def _has_velocity(self) -> bool:
         return len(self.gnss) > 0 and _fix_velocity(self.gnss[-1]) is not None
@@ -323,10 +359,9 @@ class Aligner:
             return v_n, 0.5 + 2.0 * (t_ns - int(self.gnss_t_ns[-1])) * 1e-9
         if wheel.size:
             return c_n_from_b[:, 0] * float(wheel[-1]), 1.0
-        lat, lon = self.gnss[-3:, GNSS["lat_rad"]], self.gnss[-3:, GNSS["lon_rad"]]
-        place = ned_offset_m(lat, lon, np.zeros(len(lat)), (float(lat[0]), float(lon[0]), 0.0))
-        span = (self.gnss_t_ns[-1] - self.gnss_t_ns[-len(lat)]) * 1e-9
-        return (place[-1] / span if span > 0 else np.zeros(3)), 2.0
+        moved = _offsets_m(self.gnss[-3:])[-1]
+        span = (self.gnss_t_ns[-1] - self.gnss_t_ns[-3:][0]) * 1e-9
+        return (np.array([moved[0], moved[1], 0.0]) / span if span > 0 else np.zeros(3)), 2.0
 
     def _state(
         self,
@@ -335,8 +370,7 @@ class Aligner:
         v_n: FloatArray,
         velocity_sd: float,
         yaw_sd: float,
-        bias: FloatArray | None = None,
-        rested: bool = True,
+        felt: _Level,
     ) -> InitialState:
         fix = self.gnss[-1]
         sd_h_m, sd_v_m = self.fix_sd_m(fix)
@@ -344,12 +378,6 @@ class Aligner:
         lat, lon = float(fix[GNSS["lat_rad"]]), float(fix[GNSS["lon_rad"]])
         meridian, transverse = radii_m(lat)
         alt = float(fix[GNSS["alt_m"]]) if math.isfinite(fix[GNSS["alt_m"]]) else 0.0
-        t = self.tuning
-        bias_sd = (
-            max(t.zaru_sd_radps / math.sqrt(max(self.rest[0], 1.0)), 1e-6)
-            if rested
-            else t.align_gyro_bias_moving_sd_radps
-        )
         return InitialState(
             t_ns=t_ns,
             lat_rad=lat + v_n[0] * age_s / meridian,
@@ -359,10 +387,10 @@ class Aligner:
             v_n=v_n,
             velocity_sd_mps=velocity_sd,
             q_n_from_b=quaternion_from_matrix(c_n_from_b),
-            tilt_sd_rad=t.align_tilt_still_sd_rad if rested else t.align_tilt_moving_sd_rad,
+            tilt_sd_rad=felt.tilt_sd_rad,
             yaw_sd_rad=yaw_sd,
-            gyro_bias_radps=self.rest[4:7].copy() if bias is None else bias,
-            gyro_bias_sd_radps=bias_sd,
+            gyro_bias_radps=felt.gyro_bias_radps,
+            gyro_bias_sd_radps=felt.gyro_bias_sd_radps,
         )
 
 
@@ -374,6 +402,12 @@ def _fix_velocity(fix: FloatArray) -> tuple[float, float, float] | None:
     if math.isfinite(speed) and math.isfinite(course):
         return float(speed * math.cos(course)), float(speed * math.sin(course)), math.nan
     return None
+
+
+def _offsets_m(fixes: FloatArray) -> FloatArray:
+    """North and east (n, 2) of GNSS rows against the first of them, m."""
+    lat, lon = fixes[:, GNSS["lat_rad"]], fixes[:, GNSS["lon_rad"]]
+    return ned_offset_m(lat, lon, np.zeros(len(lat)), (float(lat[0]), float(lon[0]), 0.0))[:, :2]
 
 
 def _integrate(times: TimeArray, omega_b: FloatArray, start: FloatArray) -> FloatArray:

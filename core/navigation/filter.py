@@ -180,7 +180,8 @@ class NavigationFilter:
         )
         if stopped != kernel.STOPPED_END:
             self._aligned[0] = False
-            self._known[0] = stopped != kernel.STOPPED_DIVERGED
+            # What led astray may be the very biases and angles.
+            self._known[0] = stopped == kernel.STOPPED_GAP
             self.counts[state.A_IMU, state.RESET] += 1
             self._aligner.forget()
             self._evaluation_ns[0] = 0

@@ -78,7 +78,7 @@ from core.navigation.tuning import PARAMETER
 
 STOPPED_END, STOPPED_GAP, STOPPED_LOST, STOPPED_DIVERGED = 0, 1, 2, 3
 """Why the loop came back: samples used up; or to align anew, after a gap before the next sample, because fixes
-contradict the state, or because the state is none that a vehicle can have (then nothing of it is kept)."""
+contradict the state, or because the state is none that a vehicle can have."""
 
 MOST_MPS, MOST_HEIGHT_M, MOST_SD_M = 300.0, 50_000.0, 100_000.0
 MOST_ACCEL_BIAS_MPS2, MOST_GYRO_BIAS_RADPS = 5.0, 1.0
@@ -100,6 +100,7 @@ _STILL_ACCEL = PARAMETER["still_accel_sd_mps2"]
 _STILL_GYRO = PARAMETER["still_gyro_sd_radps"]
 _STILL_FACTOR = PARAMETER["still_factor"]
 _STILL_MEAN = PARAMETER["still_mean_accel_mps2"]
+_STILL_RATE = PARAMETER["still_mean_gyro_radps"]
 _STILL_SPEED = PARAMETER["still_max_speed_mps"]
 _CONSTRAINT_S = PARAMETER["constraint_interval_s"]
 _COVARIANCE_S = PARAMETER["covariance_interval_s"]
@@ -197,7 +198,7 @@ def _close_block(x: FloatArray, ti: TimeArray, p: FloatArray, ring: FloatArray, 
     if x[X_V] ** 2 + x[X_V + 1] ** 2 > limit * limit:
         return
     spread_f, spread_w = 0.0, 0.0
-    mean_0, mean_1, mean_2 = 0.0, 0.0, 0.0
+    mean_0, mean_1, mean_2, turning_sq, rate_var = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(6):
         total, squares = 0.0, 0.0
         first = ring[i]
@@ -216,6 +217,13 @@ def _close_block(x: FloatArray, ti: TimeArray, p: FloatArray, ring: FloatArray, 
             spread_f += variance
         else:
             spread_w += variance
+            turning_sq += (first + total / N_BLOCKS - x[X_BG + i - 3]) ** 2
+            i0 = (GYRO_BIAS + i - 3) * N_STATES + GYRO_BIAS + i - 3
+            rate_var = max(rate_var, p[i0])
+    # A bend driven evenly is as quiet as standing, but for its rate.
+    limit = par[_STILL_RATE] + 3.0 * math.sqrt(rate_var)
+    if turning_sq > limit * limit:
+        return
     if spread_f > par[_STILL_ACCEL] ** 2 or spread_w > par[_STILL_GYRO] ** 2:
         return
     spread_f, spread_w = math.sqrt(spread_f), math.sqrt(spread_w)

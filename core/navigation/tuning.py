@@ -126,6 +126,9 @@ class Tuning(Tunables):
     still_mean_accel_mps2: float = tunable(
         0.2, unit="m/s2", low=0.01, high=2, source="beyond tilt error: a car pulls away with 0.5 m/s2 and more"
     )
+    still_mean_gyro_radps: float = tunable(
+        0.01, unit="rad/s", low=1e-4, high=0.2, source="beyond bias error: drift, rocking and the Earth's rate, 7e-5"
+    )
     still_factor: float = tunable(
         2.0,
         unit="1",
@@ -184,6 +187,9 @@ class Tuning(Tunables):
     align_tilt_still_sd_rad: float = tunable(0.02, unit="rad", low=1e-4, high=0.5, source="bias of 20 mg")
     align_tilt_moving_sd_rad: float = tunable(
         0.05, unit="rad", low=1e-3, high=0.5, source="accelerations known to 0.5 m/s2"
+    )
+    align_tilt_unsure_sd_rad: float = tunable(
+        0.12, unit="rad", low=1e-3, high=0.5, source="accelerations from positions alone, or unknown: 1.2 m/s2"
     )
     align_gyro_bias_moving_sd_radps: float = tunable(
         0.02, unit="rad/s", low=1e-5, high=1, source="course over five seconds good to 5 deg"

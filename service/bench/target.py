@@ -50,7 +50,7 @@ class Target:
     def __init__(self, address: Address) -> None:
         self.address = address
         headers = {} if address.token is None else {"Authorization": f"Bearer {address.token}"}
-        self._client = httpx.Client(base_url=address.http_url, headers=headers, timeout=TIMEOUT_S)
+        self._client = httpx.Client(base_url=address.http_url, headers=headers, timeout=TIMEOUT_S, trust_env=False)
         self._made: list[str] = []
 
     def __enter__(self) -> Target:

@@ -69,10 +69,10 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     with unwinding_on_sigterm(), TemporaryDirectory(prefix="telefuse-bench-") as directory:
         drives = record_drives(arguments.rate)
-        with Progress("stages", len(stages.STAGES)) as progress:
-            measured = stages.measure(drives[0], Path(directory), progress.update)
         with _service(arguments, Path(directory) / "service") as address, _Phases() as phases:
             loaded = load.measure(address, drives, arguments.vehicles, arguments.seconds, phases.tell)
+        with Progress("stages", len(stages.STAGES)) as progress:
+            measured = stages.measure(drives[0], Path(directory), progress.update)
     if arguments.json:
         print(json.dumps(report.figures(loaded, measured, arguments.rate)))
     else:

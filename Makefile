@@ -21,7 +21,7 @@ $(READY): requirements/lock.txt requirements/bootstrap.txt pyproject.toml
 
 # DEMO="--drive DIR" plays a recording instead of the simulated drive; DEMO=--exit ends when done.
 demo: setup
-	$(BIN)/telefuse demo $(DEMO)
+	$(BIN)/telefuse demo $(DEMO) $(ARGS)
 
 test: setup
 	$(BIN)/pytest -n $(WORKERS) --dist loadfile

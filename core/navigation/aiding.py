@@ -10,11 +10,10 @@ import math
 
 from numba import njit
 
-from core.earth import radii_m
 from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation.admission import position_sd_m
 from core.navigation.kalman import along, project, project_axis, update
-from core.navigation.mechanization import fold_position, matrix_of
+from core.navigation.mechanization import fold_position, matrix_of, turn_mounting
 from core.navigation.state import (
     A_HEIGHT,
     A_NHC,
@@ -52,8 +51,8 @@ from core.navigation.state import (
     X_DR,
     X_LAT,
     X_LON,
-    X_MOUNT_PITCH,
-    X_MOUNT_YAW,
+    X_M_PER_RAD,
+    X_MOUNT_SC,
     X_Q,
     X_REJECTED_N,
     X_SCALE,
@@ -111,8 +110,7 @@ def correct(x: FloatArray, dx: FloatArray) -> None:
         x[X_BG + i] += dx[GYRO_BIAS + i]
         x[X_BA + i] += dx[ACCEL_BIAS + i]
     x[X_SCALE] += dx[SPEED_SCALE]
-    x[X_MOUNT_PITCH] += dx[MOUNT_PITCH]
-    x[X_MOUNT_YAW] += dx[MOUNT_YAW]
+    turn_mounting(x, dx[MOUNT_PITCH], dx[MOUNT_YAW])
     hx, hy, hz = 0.5 * dx[ATT], 0.5 * dx[ATT + 1], 0.5 * dx[ATT + 2]
     w, qx, qy, qz = x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3]
     nw = w - hx * qx - hy * qy - hz * qz
@@ -161,7 +159,6 @@ def fuse_position(
     n, dx, ph = work
     fold_position(x, ti)
     lag_s = (ti[T_NOW] - t_ns) * 1e-9
-    meridian, transverse = radii_m(x[X_LAT])
     c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
     ln = c[0] * lever_b[0] + c[1] * lever_b[1] + c[2] * lever_b[2]
     le = c[3] * lever_b[0] + c[4] * lever_b[1] + c[5] * lever_b[2]
@@ -171,8 +168,8 @@ def fuse_position(
         d_lon -= 2.0 * math.pi
     elif d_lon < -math.pi:
         d_lon += 2.0 * math.pi
-    nu_n = (fix[_LAT] - x[X_LAT]) * (meridian + x[X_ALT]) + lag_s * x[X_V] - ln
-    nu_e = d_lon * (transverse + x[X_ALT]) * math.cos(x[X_LAT]) + lag_s * x[X_V + 1] - le
+    nu_n = (fix[_LAT] - x[X_LAT]) * x[X_M_PER_RAD] + lag_s * x[X_V] - ln
+    nu_e = d_lon * x[X_M_PER_RAD + 1] + lag_s * x[X_V + 1] - le
     nu_d = -(fix[_ALT] - x[X_ALT]) + lag_s * x[X_V + 2] - ld
     sd_h, sd_v = position_sd_m(fix, par)
 
@@ -356,8 +353,7 @@ def fuse_non_holonomic(
     if speed_sq < par[_P_NHC_SPEED] ** 2:
         counts[A_NHC, REJECTED_RANGE] += 1
         return
-    sp, cp = math.sin(x[X_MOUNT_PITCH]), math.cos(x[X_MOUNT_PITCH])
-    sy, cy = math.sin(x[X_MOUNT_YAW]), math.cos(x[X_MOUNT_YAW])
+    sp, cp, sy, cy = x[X_MOUNT_SC], x[X_MOUNT_SC + 1], x[X_MOUNT_SC + 2], x[X_MOUNT_SC + 3]
     yaw_rate = x[X_W + 2] - x[X_BG + 2]
     base = par[_P_NHC] * par[_P_NHC]
     slip = par[_P_NHC_LEVER] * yaw_rate
@@ -422,8 +418,7 @@ def fuse_speed(
     counts: TimeArray,
 ) -> None:
     """Wheel speed: (1 + scale) times the speed along the vehicle's forward axis, without its sign."""
-    sp, cp = math.sin(x[X_MOUNT_PITCH]), math.cos(x[X_MOUNT_PITCH])
-    sy, cy = math.sin(x[X_MOUNT_YAW]), math.cos(x[X_MOUNT_YAW])
+    sp, cp, sy, cy = x[X_MOUNT_SC], x[X_MOUNT_SC + 1], x[X_MOUNT_SC + 2], x[X_MOUNT_SC + 3]
     ti[T_SPEED] = ti[T_NOW]
     forward_b = (cy * cp, sy * cp, -sp)
     if _reverses(x, p, forward_b, reading_mps, par[_P_SPEED] ** 2, par[_P_REVERSE_ODDS]):

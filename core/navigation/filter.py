@@ -16,7 +16,7 @@ from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation import kernel, state
 from core.navigation.admission import timely, usable_fields, usable_fixes, usable_speeds
 from core.navigation.alignment import SECOND_NS, Aligner, InitialState, next_second_ns
-from core.navigation.mechanization import normalised, start_frame
+from core.navigation.mechanization import normalised, renew_mounting, start_frame
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.navigation.tuning import Tuning
 from core.rotation import matrix_from_quaternion
@@ -75,6 +75,7 @@ class NavigationFilter:
         self.x = np.zeros(state.NX)
         self.ti = np.zeros(state.NT, np.int64)
         self.p = np.zeros(state.N_STATES**2)
+        self._scratch = np.zeros(kernel.SCRATCH)
         self.ring = np.zeros(6 * state.N_BLOCKS)
         self.counts = np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64)
         self._aligned = np.zeros(1, np.bool_)
@@ -201,7 +202,8 @@ class NavigationFilter:
     ) -> tuple[Any, ...]:
         """The state and these samples in the order of ``kernel.run``."""
         return (
-            self.x, self.ti, self.p, self.ring, self._par, self._switches, self._imu_lever, self._antenna_lever,
+            self.x, self.ti, self.p, self.ring, self._scratch, self._par,
+            self._switches, self._imu_lever, self._antenna_lever,
             t_ns, f_b, omega_b, saturated, *gnss, *speed, epochs, out_t_ns, out, self.counts,
         )  # fmt: skip
 
@@ -300,6 +302,7 @@ class NavigationFilter:
                 x[state.X_BG : state.X_BG + 3] = bias_before
                 for i in range(3):
                     p[state.GYRO_BIAS + i, state.GYRO_BIAS + i] = before[i]
+        renew_mounting(x)
         self.p[:] = p.reshape(-1)
         self._aligned[0] = True
         self._aligner.forget()

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from core.earth import STANDARD_GRAVITY_MPS2, radii_m
+from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FloatArray, TimeArray
 from core.navigation.admission import MAX_LATITUDE_RAD
 from core.navigation.aiding import (
@@ -25,7 +25,7 @@ from core.navigation.aiding import (
 )
 from core.navigation.error_model import propagate
 from core.navigation.kalman import symmetrise
-from core.navigation.mechanization import fold_position, matrix_of, turned
+from core.navigation.mechanization import fold_position, matrix_of, renew_mounting, turned
 from core.navigation.state import (
     A_IMU,
     A_POSITION,
@@ -64,8 +64,8 @@ from core.navigation.state import (
     X_G,
     X_LAT,
     X_LON,
-    X_MOUNT_PITCH,
-    X_MOUNT_YAW,
+    X_M_PER_RAD,
+    X_MOUNT_SC,
     X_Q,
     X_SATURATED_S,
     X_STILL_F,
@@ -83,6 +83,9 @@ contradict the state, or because the state is none that a vehicle can have."""
 MOST_MPS, MOST_HEIGHT_M, MOST_SD_M = 300.0, 50_000.0, 100_000.0
 MOST_ACCEL_BIAS_MPS2, MOST_GYRO_BIAS_RADPS = 5.0, 1.0
 """Beyond any of these the state is made of damaged samples: no vehicle and no bias is so fast or so far off."""
+
+SCRATCH = 3 * N_STATES + N_STATES**2
+"""Numbers that ``run`` works in: error estimate, P H', variances added, Phi P."""
 
 USE_NHC, USE_ZUPT = 1, 2
 """Switches of the constraints, as bits."""
@@ -128,7 +131,7 @@ _COASTING, _AIDED = int(Mode.COASTING), int(Mode.AIDED)
 
 @njit(cache=True, nogil=True)
 def _catch_up(
-    x: FloatArray, ti: TimeArray, p: FloatArray, n: int, scratch: FloatArray, q: FloatArray, par: FloatArray
+    x: FloatArray, ti: TimeArray, p: FloatArray, n: int, m: FloatArray, q: FloatArray, par: FloatArray
 ) -> None:
     """Bring the covariance up to the newest sample."""
     dt = (ti[T_NOW] - ti[T_COV]) * 1e-9
@@ -165,7 +168,7 @@ def _catch_up(
     q[SPEED_SCALE] = par[_SCALE_WALK] ** 2 * dt
     q[MOUNT_PITCH] = par[_MOUNT_WALK] ** 2 * dt
     q[MOUNT_YAW] = par[_MOUNT_WALK] ** 2 * dt
-    propagate(p, scratch, n, dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, q)
+    propagate(p, m, n, dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, q)
     x[X_DV], x[X_DV + 1], x[X_DV + 2] = 0.0, 0.0, 0.0
     x[X_SATURATED_S], x[X_BRIDGED_S] = 0.0, 0.0
     ti[T_COV] = ti[T_NOW]
@@ -269,20 +272,18 @@ def _put_row(
     """One row of the track, of the vehicle's body: ``lever_b`` is the inertial sensor's place in it."""
     n = N_STATES
     c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
-    meridian, transverse = radii_m(x[X_LAT])
     dn = x[X_DR] - (c[0] * lever_b[0] + c[1] * lever_b[1] + c[2] * lever_b[2])
     de = x[X_DR + 1] - (c[3] * lever_b[0] + c[4] * lever_b[1] + c[5] * lever_b[2])
     dd = x[X_DR + 2] - (c[6] * lever_b[0] + c[7] * lever_b[1] + c[8] * lever_b[2])
-    row[_C_LAT] = x[X_LAT] + dn / (meridian + x[X_ALT])
-    row[_C_LAT + 1] = x[X_LON] + de / ((transverse + x[X_ALT]) * math.cos(x[X_LAT]))
+    row[_C_LAT] = x[X_LAT] + dn / x[X_M_PER_RAD]
+    row[_C_LAT + 1] = x[X_LON] + de / x[X_M_PER_RAD + 1]
     row[_C_LAT + 2] = x[X_ALT] - dd
     for i in range(3):
         row[_C_VN + i] = x[X_V + i]
         row[_C_SD_N + i] = math.sqrt(max(p[(POS + i) * n + POS + i], 0.0))
     row[_C_SD_N + 3] = p[POS * n + POS + 1]
     # C_n_from_v = C_n_from_b C_b_from_v with C_b_from_v = Rz(mount yaw) Ry(mount pitch)
-    sp, cp = math.sin(x[X_MOUNT_PITCH]), math.cos(x[X_MOUNT_PITCH])
-    sy, cy = math.sin(x[X_MOUNT_YAW]), math.cos(x[X_MOUNT_YAW])
+    sp, cp, sy, cy = x[X_MOUNT_SC], x[X_MOUNT_SC + 1], x[X_MOUNT_SC + 2], x[X_MOUNT_SC + 3]
     v00 = c[0] * cy * cp + c[1] * sy * cp - c[2] * sp
     v10 = c[3] * cy * cp + c[4] * sy * cp - c[5] * sp
     v20 = c[6] * cy * cp + c[7] * sy * cp - c[8] * sp
@@ -306,6 +307,7 @@ def run(
     ti: TimeArray,
     p: FloatArray,
     ring: FloatArray,
+    scratch: FloatArray,
     par: FloatArray,
     switches: int,
     imu_lever_b: FloatArray,
@@ -328,6 +330,7 @@ def run(
     Parameters
     ----------
     x, ti, p, ring : state, see ``state``; changed in place
+    scratch : (SCRATCH,) zeros at first; nothing in it outlives the call
     par : ``Tuning.as_array()``; ``switches`` as ``USE_NHC | USE_ZUPT``
     imu_lever_b, antenna_lever_b : (3,) inertial sensor in the body, and antenna against the sensor, m
     imu_t_ns, f_b, omega_b, saturated : (n,), (n, 3), (n, 3), (n,) calibrated samples in b
@@ -342,10 +345,10 @@ def run(
     """
     n_samples = imu_t_ns.shape[0]
     n_gnss, n_speed = gnss_t_ns.shape[0], speed_t_ns.shape[0]
-    dx, ph = np.zeros(N_STATES), np.empty(N_STATES)
     n = round(math.sqrt(p.shape[0]))
+    dx, ph, q = scratch[:n], scratch[n : 2 * n], scratch[2 * n : 3 * n]
+    m = scratch[3 * n :]
     work = (n, dx, ph)
-    scratch, q = np.empty(N_STATES * N_STATES), np.zeros(N_STATES)
     block_ns = np.int64(round(par[_COVARIANCE_S] * 1e9))
     constraint_ns = np.int64(round(par[_CONSTRAINT_S] * 1e9))
     output_ns = np.int64(round(par[_OUTPUT_S] * 1e9))
@@ -422,16 +425,17 @@ def run(
                 ti[I_BLOCK] = in_block
                 _close_block(x, ti, p, ring, par)
                 s0, s1, s2, s3, s4, s5, in_block = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
-                _catch_up(x, ti, p, n, scratch, q, par)
+                _catch_up(x, ti, p, n, m, q, par)
                 fold_position(x, ti)
                 if not _plausible(x, p):
                     stopped = STOPPED_DIVERGED
                 if t // 1_000_000_000 != ti[T_NEXT_BLOCK] // 1_000_000_000 or ti[T_NEXT_BLOCK] % 1_000_000_000 == 0:
                     symmetrise(p, n)
+                    renew_mounting(x)
                 ti[T_NEXT_BLOCK] = (t // block_ns + 1) * block_ns
             while i_gnss < n_gnss and gnss_t_ns[i_gnss] <= t:
                 if not too_old(ti, gnss_t_ns[i_gnss], par, A_POSITION, counts):
-                    _catch_up(x, ti, p, n, scratch, q, par)
+                    _catch_up(x, ti, p, n, m, q, par)
                     if fuse_position(x, ti, p, gnss_t_ns[i_gnss], gnss[i_gnss], antenna_lever_b, par, work, counts):
                         fold_position(x, ti)
                     fuse_velocity(x, ti, p, gnss[i_gnss], antenna_lever_b, par, work, counts)
@@ -441,12 +445,12 @@ def run(
             while i_speed < n_speed and speed_t_ns[i_speed] <= t:
                 old = too_old(ti, speed_t_ns[i_speed], par, A_SPEED, counts)
                 if not old and t - ti[T_SPEED] >= speed_ns:
-                    _catch_up(x, ti, p, n, scratch, q, par)
+                    _catch_up(x, ti, p, n, m, q, par)
                     fuse_speed(x, ti, p, speed_mps[i_speed], par, work, counts)
                 i_speed += 1
             if t >= ti[T_NEXT_CONSTRAINT]:
                 ti[T_NEXT_CONSTRAINT] = (t // constraint_ns + 1) * constraint_ns
-                _catch_up(x, ti, p, n, scratch, q, par)
+                _catch_up(x, ti, p, n, m, q, par)
                 if ti[I_STATIONARY] != 0 and switches & USE_ZUPT:
                     newest = ((ti[I_BLOCKS] - 1) % N_BLOCKS) * 6 + 3
                     fuse_standstill(x, p, ring[newest : newest + 3], par, work, counts)

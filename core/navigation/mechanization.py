@@ -21,6 +21,10 @@ from core.navigation.state import (
     X_G,
     X_LAT,
     X_LON,
+    X_M_PER_RAD,
+    X_MOUNT_PITCH,
+    X_MOUNT_SC,
+    X_MOUNT_YAW,
     X_Q,
     X_V,
     X_WIN,
@@ -70,10 +74,8 @@ def fold_position(x: FloatArray, ti: TimeArray) -> None:
     Moves the metres of ``x[X_DR]`` into the geodetic position, turns the attitude back by the rotation
     of n against i since the last fold, and renews gravity, Coriolis and that rotation's rate.
     """
-    meridian, transverse = radii_m(x[X_LAT])
-    cos_lat = math.cos(x[X_LAT])
-    x[X_LAT] += x[X_DR] / (meridian + x[X_ALT])
-    lon = x[X_LON] + x[X_DR + 1] / ((transverse + x[X_ALT]) * cos_lat)
+    x[X_LAT] += x[X_DR] / x[X_M_PER_RAD]
+    lon = x[X_LON] + x[X_DR + 1] / x[X_M_PER_RAD + 1]
     if lon >= math.pi:
         lon -= 2.0 * math.pi
     elif lon < -math.pi:
@@ -95,6 +97,8 @@ def fold_position(x: FloatArray, ti: TimeArray) -> None:
     x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3] = nw * k, nx * k, ny * k, nz * k
 
     s, c = math.sin(x[X_LAT]), math.cos(x[X_LAT])
+    meridian, transverse = radii_m(x[X_LAT])
+    x[X_M_PER_RAD], x[X_M_PER_RAD + 1] = meridian + x[X_ALT], (transverse + x[X_ALT]) * c
     vn, ve, vd = x[X_V], x[X_V + 1], x[X_V + 2]
     ie_n, ie_d = EARTH_RATE_RADPS * c, -EARTH_RATE_RADPS * s
     en_n = ve / (transverse + x[X_ALT])
@@ -111,8 +115,30 @@ def start_frame(x: FloatArray, ti: TimeArray) -> None:
     """Fill the slow terms of a freshly set state."""
     x[X_DR : X_DR + 3] = 0.0
     x[X_WIN : X_WIN + 3] = 0.0
+    x[X_M_PER_RAD : X_M_PER_RAD + 2] = 1.0
     ti[T_FOLD] = ti[T_NOW]
     fold_position(x, ti)
+    renew_mounting(x)
+
+
+@njit(cache=True, nogil=True)
+def renew_mounting(x: FloatArray) -> None:
+    """Sines and cosines of the mounting's angles, which ``turn_mounting`` carries on in between."""
+    x[X_MOUNT_SC], x[X_MOUNT_SC + 1] = math.sin(x[X_MOUNT_PITCH]), math.cos(x[X_MOUNT_PITCH])
+    x[X_MOUNT_SC + 2], x[X_MOUNT_SC + 3] = math.sin(x[X_MOUNT_YAW]), math.cos(x[X_MOUNT_YAW])
+
+
+@njit(cache=True, nogil=True)
+def turn_mounting(x: FloatArray, pitch_rad: float, yaw_rad: float) -> None:
+    """Add small angles to the mounting, to second order in its sines and cosines."""
+    x[X_MOUNT_PITCH] += pitch_rad
+    x[X_MOUNT_YAW] += yaw_rad
+    s, c = x[X_MOUNT_SC], x[X_MOUNT_SC + 1]
+    x[X_MOUNT_SC] = s + pitch_rad * (c - 0.5 * pitch_rad * s)
+    x[X_MOUNT_SC + 1] = c - pitch_rad * (s + 0.5 * pitch_rad * c)
+    s, c = x[X_MOUNT_SC + 2], x[X_MOUNT_SC + 3]
+    x[X_MOUNT_SC + 2] = s + yaw_rad * (c - 0.5 * yaw_rad * s)
+    x[X_MOUNT_SC + 3] = c - yaw_rad * (s + 0.5 * yaw_rad * c)
 
 
 def normalised(q: FloatArray) -> FloatArray:

@@ -44,7 +44,9 @@ X_REJECTED_N: Final = 53  # innovation of the last refused fix, m, 2
 X_BRIDGED_S: Final = 55  # time bridged without samples since the covariance was last propagated, s
 X_STILL_F: Final = 56  # spread of the standing vehicle's block means as learnt, m/s2; 0 before
 X_STILL_W: Final = 57  # the same of the rates, rad/s
-NX: Final = 58
+X_M_PER_RAD: Final = 58  # metres a radian of latitude, and of longitude, where the vehicle is, 2
+X_MOUNT_SC: Final = 60  # sine and cosine of the mounting's pitch, then of its yaw, 4
+NX: Final = 64
 
 # Integer state ``ti``, int64: times in ns and counters.
 T_NOW: Final = 0

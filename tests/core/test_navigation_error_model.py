@@ -47,7 +47,8 @@ class Filter:
         none = np.empty(0, np.int64)
         n = len(t_ns)
         used, *_, stopped = kernel.run(
-            self.x, self.ti, self.p, np.zeros(6 * state.N_BLOCKS), tuning.as_array(), 0, np.zeros(3), np.zeros(3),
+            self.x, self.ti, self.p, np.zeros(6 * state.N_BLOCKS), np.zeros(kernel.SCRATCH),
+            tuning.as_array(), 0, np.zeros(3), np.zeros(3),
             t_ns, f_b, omega_b, np.zeros(n), none, np.empty((0, len(GNSS))), none, np.empty(0),
             np.empty((n, 4)), np.empty(n, np.int64), np.empty((n, len(TRACK_COLUMNS))),
             np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64),

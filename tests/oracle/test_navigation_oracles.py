@@ -125,7 +125,8 @@ def test_a_minute_of_dead_reckoning_on_exact_samples(scenario, from_s, rate_hz):
     none = np.empty(0, np.int64)
     out_t_ns, out = np.empty(n, np.int64), np.empty((n, len(TRACK_COLUMNS)))
     *_, rows, stopped = kernel.run(
-        x, ti, np.zeros(state.N_STATES**2), np.zeros(6 * state.N_BLOCKS), Tuning(output_interval_s=0.0).as_array(), 0,
+        x, ti, np.zeros(state.N_STATES**2), np.zeros(6 * state.N_BLOCKS), np.zeros(kernel.SCRATCH),
+        Tuning(output_interval_s=0.0).as_array(), 0,
         np.zeros(3), np.zeros(3), t_ns, truth.f_b[first + 1 : last + 1], truth.omega_b[first + 1 : last + 1],
         np.zeros(n), none, np.empty((0, len(GNSS))), none, np.empty(0), np.empty((n, 4)), out_t_ns, out,
         np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64),

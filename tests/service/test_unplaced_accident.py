@@ -53,10 +53,21 @@ def test_it_is_stored_and_told_all_the_same(any_database, blind_crash: Measureme
 
 def test_an_old_place_is_kept_with_a_spread_that_says_how_old() -> None:
     impact = Impact(
-        t_ns=100_000_000_000, decided_t_ns=100_200_000_000, detector="telefuse", severity=Severity.SEVERE,
-        confidence=0.9, delta_v_mps=8.0, delta_v_sd_mps=0.5, delta_v_b_mps=(-8.0, 0.0), pdof_deg=0.0, peak_mps2=90.0, duration_s=0.1,
-        clipped=False, speed_before_mps=10.0, paper_agrees=False,
-    )  # fmt: skip
+        t_ns=100_000_000_000,
+        decided_t_ns=100_200_000_000,
+        detector="telefuse",
+        severity=Severity.SEVERE,
+        confidence=0.9,
+        delta_v_mps=8.0,
+        delta_v_sd_mps=0.5,
+        delta_v_b_mps=(-8.0, 0.0),
+        pdof_deg=0.0,
+        peak_mps2=90.0,
+        duration_s=0.1,
+        clipped=False,
+        speed_before_mps=10.0,
+        paper_agrees=False,
+    )
     row = np.zeros((1, len(TRACK_COLUMNS)))
     row[0, 3] = 20.0  # northwards
     fresh: Accident = _place(impact, Track(np.array([99_500_000_000]), row))

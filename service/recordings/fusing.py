@@ -138,7 +138,8 @@ def figures(drive: Drive, fused: Fused, outages: Sequence[Outage]) -> dict[str, 
     against, errors = _errors(drive, Track(track.t_ns[placed & navigating], track.values[placed & navigating]), outages)
     result["against"] = against
     if errors is None:
-        return result | {"outages": [], "outage_rms_m": None, "outage_max_m": None}
+        missing = dict.fromkeys(_COMPARED)
+        return result | missing | {"outages": [_not_compared(outage, against) for outage in outages]}
     result["position_rms_m"] = _rms(errors.horizontal_m) if against == "reference" else None
     result["gnss_rms_m"] = _rms(errors.horizontal_m) if against == "gnss" else None
     result["yaw_rms_deg"] = None if errors.yaw_rad is None else math.degrees(_rms(errors.yaw_rad))
@@ -148,7 +149,7 @@ def figures(drive: Drive, fused: Fused, outages: Sequence[Outage]) -> dict[str, 
     for outage in outages:
         inside = (errors.t_s >= outage.start_s) & (errors.t_s < outage.end_s)
         if not inside.any():
-            parts.append({"start_s": outage.start_s, "duration_s": outage.duration_s, "against": against} | _NOTHING)
+            parts.append(_not_compared(outage, against))
             continue
         h = errors.horizontal_m[inside] if errors.freed_m is None else errors.freed_m[inside]
         all_errors.append(h)
@@ -170,7 +171,22 @@ def figures(drive: Drive, fused: Fused, outages: Sequence[Outage]) -> dict[str, 
     return result
 
 
-_NOTHING: Final = {"rms_m": None, "end_m": None, "max_m": None, "distance_m": None}
+_COMPARED: Final = (
+    "position_rms_m",
+    "gnss_rms_m",
+    "yaw_rms_deg",
+    "offset_ned_m",
+    "position_rms_offset_removed_m",
+    "outage_rms_m",
+    "outage_max_m",
+)
+"""Figures that need something to compare the track with."""
+
+
+def _not_compared(outage: Outage, against: str | None) -> dict[str, Any]:
+    return {"start_s": outage.start_s, "duration_s": outage.duration_s, "against": against} | dict.fromkeys(
+        ("rms_m", "end_m", "max_m", "distance_m")
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,6 +29,9 @@ UNDER_WAY_PER_VEHICLE: Final = 64
 LATENCY_LOAD: Final = 0.5
 """Share of the throughput at which latency is measured: what one would run a machine at."""
 
+CONNECT_TOGETHER: Final = 50
+"""Boxes that connect at once; a thousand would time out waiting for each other on one machine."""
+
 WARM_UP_PACKETS: Final = 15
 """Of each vehicle, before the test: a session aligns within some seconds of driving, once."""
 
@@ -149,6 +152,7 @@ class _Fleet:
     def __init__(self, target: Target, vehicles: Sequence[SimulatedVehicle], tell: Tell) -> None:
         self._target = target
         self._vehicles = vehicles
+        self._started: list[SimulatedVehicle] = []
         self._next = itertools.cycle(vehicles)
         self._tell = tell
         self._given = 0
@@ -157,18 +161,24 @@ class _Fleet:
 
     def __enter__(self) -> _Fleet:
         self._fused_before = self._target.fused()
-        for vehicle in self._vehicles:
-            vehicle.box.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        for vehicle in self._vehicles:
+        for vehicle in self._started:
             vehicle.box.stop()
 
     def connect(self) -> None:
         """Send every vehicle's first packets, so that all are connected, known and aligned before a clock runs."""
-        self._tell("connecting", 0.0, 1.0)
-        self._send(WARM_UP_PACKETS * len(self._vehicles))
+        for first in range(0, len(self._vehicles), CONNECT_TOGETHER):
+            self._tell("connecting", first, len(self._vehicles))
+            for vehicle in self._vehicles[first : first + CONNECT_TOGETHER]:
+                vehicle.box.start()
+                self._started.append(vehicle)
+                self._send_next(vehicle)
+            self._await_acknowledged("connecting")
+        for _ in range(WARM_UP_PACKETS - 1):
+            self._send(len(self._vehicles))
+            self._await_acknowledged("connecting")
         self._settle("connecting")
 
     def saturate(self, seconds: float) -> float:
@@ -194,23 +204,28 @@ class _Fleet:
 
     def _send(self, count: int) -> None:
         for _ in range(count):
-            vehicle = next(self._next)
-            if not vehicle.send_next(PATIENCE_S):
-                raise TargetFailedError(f"{vehicle.vehicle_id} cannot send: {vehicle.box.trouble or 'no answer'}")
-            self._given += 1
+            self._send_next(next(self._next))
+
+    def _send_next(self, vehicle: SimulatedVehicle) -> None:
+        if not vehicle.send_next(PATIENCE_S):
+            raise TargetFailedError(f"{vehicle.vehicle_id} cannot send: {vehicle.box.trouble or 'no answer'}")
+        self._given += 1
 
     def _settle(self, what: str) -> None:
         """Wait until all that was given is acknowledged and fused, or nothing moves any more."""
-        for vehicle in self._vehicles:
-            if not vehicle.box.wait_acknowledged(PATIENCE_S):
-                raise TargetFailedError(
-                    f"{what}: {vehicle.vehicle_id} is not answered: {vehicle.box.trouble or 'no answer'}"
-                )
+        self._await_acknowledged(what)
         moved_s = time.monotonic()
         while self.fused < self._given and time.monotonic() - moved_s < PATIENCE_S:
             time.sleep(POLL_S)
             if self._look():
                 moved_s = time.monotonic()
+
+    def _await_acknowledged(self, what: str) -> None:
+        for vehicle in self._started:
+            if not vehicle.box.wait_acknowledged(PATIENCE_S):
+                raise TargetFailedError(
+                    f"{what}: {vehicle.vehicle_id} is not answered: {vehicle.box.trouble or 'no answer'}"
+                )
 
     def _look(self) -> bool:
         """Ask how much is fused; whether that is more than before."""

@@ -16,7 +16,7 @@ from uuid import uuid4
 import numpy as np
 
 from service.bench.fleet import RecordedDrive, SimulatedVehicle
-from service.bench.target import Address, Target, TargetFailedError
+from service.bench.target import Address, Counts, Target, TargetFailedError
 from service.demo.alert_receiver import AlertReceiver
 
 UNDER_WAY: Final = 2048
@@ -59,7 +59,7 @@ class LoadFigures:
     packets_per_s: float
     sent: int
     acknowledged: int
-    fused: int
+    counted: Counts
     resent: int
     duplicates_sent: int
     latency_load_per_s: float
@@ -69,13 +69,13 @@ class LoadFigures:
 
     @property
     def lost(self) -> int:
-        """Packets that were sent and not fused."""
-        return max(0, self.sent - self.fused)
+        """Packets that were sent, or even taken, and not fused."""
+        return max(0, max(self.sent, self.counted.accepted) - self.counted.fused)
 
     @property
     def duplicates_applied(self) -> int:
-        """Packets that were fused more than once."""
-        return max(0, self.fused - self.sent)
+        """Packets that were taken or fused more than once."""
+        return max(0, max(self.counted.accepted, self.counted.fused) - self.sent)
 
     def latency_ms(self, percent: float) -> float | None:
         """A percentile of the latencies."""
@@ -87,7 +87,7 @@ class LoadFigures:
         if self.lost:
             short.append(f"{self.lost} of {self.sent} packets were lost")
         if self.duplicates_applied:
-            short.append(f"{self.duplicates_applied} packets were fused twice")
+            short.append(f"{self.duplicates_applied} packets were applied twice")
         if self.latencies_ms is not None and self.alerts < self.accidents:
             short.append(f"{self.accidents - self.alerts} of {self.accidents} accidents brought no alert")
         return short
@@ -129,7 +129,7 @@ def measure(
         packets_per_s=packets_per_s,
         sent=sum(one.sent for one in figures),
         acknowledged=sum(one.acknowledged for one in figures),
-        fused=driver.fused,
+        counted=driver.counted,
         resent=sum(one.resent for one in figures),
         duplicates_sent=sum(vehicle.link.repeated for vehicle in fleet),
         latency_load_per_s=latency_load_per_s,
@@ -156,11 +156,11 @@ class _Fleet:
         self._next = itertools.cycle(vehicles)
         self._tell = tell
         self._given = 0
-        self._fused_before = 0
-        self.fused = 0
+        self._before = Counts(0, 0)
+        self.counted = Counts(0, 0)
 
     def __enter__(self) -> _Fleet:
-        self._fused_before = self._target.fused()
+        self._before = self._target.counts()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -187,7 +187,7 @@ class _Fleet:
         under_way = min(UNDER_WAY, UNDER_WAY_PER_VEHICLE * len(self._vehicles))
         while (elapsed_s := time.monotonic() - started_s) < seconds:
             self._tell("throughput", elapsed_s, seconds)
-            self._send(under_way - (self._given - self.fused))
+            self._send(under_way - (self._given - self.counted.fused))
             time.sleep(POLL_S)
             self._look()
         self._settle("throughput")
@@ -215,7 +215,7 @@ class _Fleet:
         """Wait until all that was given is acknowledged and fused, or nothing moves any more."""
         self._await_acknowledged(what)
         moved_s = time.monotonic()
-        while self.fused < self._given and time.monotonic() - moved_s < PATIENCE_S:
+        while self.counted.fused < self._given and time.monotonic() - moved_s < PATIENCE_S:
             time.sleep(POLL_S)
             if self._look():
                 moved_s = time.monotonic()
@@ -229,5 +229,5 @@ class _Fleet:
 
     def _look(self) -> bool:
         """Ask how much is fused; whether that is more than before."""
-        before, self.fused = self.fused, self._target.fused() - self._fused_before
-        return self.fused > before
+        before, self.counted = self.counted, self._target.counts().since(self._before)
+        return self.counted.fused > before.fused

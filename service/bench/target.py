@@ -44,6 +44,18 @@ class Address:
         return ZenohLink(self.zenoh_endpoint, DEFAULT_TENANT, vehicle_id)
 
 
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Packets that were made durable, each copy of one, and packets that were fused and stored."""
+
+    accepted: int
+    fused: int
+
+    def since(self, before: Counts) -> Counts:
+        """What was added since then."""
+        return Counts(self.accepted - before.accepted, self.fused - before.fused)
+
+
 class Target:
     """``with Target(address) as target``: sets up what a test needs, reads what came of it, and removes it again."""
 
@@ -86,14 +98,15 @@ class Target:
         secret: str = endpoint["secret"]
         return secret
 
-    def fused(self) -> int:
-        """Packets that the service has fused and stored since it started."""
-        for line in self._ask("GET", "/metrics").text.splitlines():
-            if line.startswith("telefuse_packets_fused_total "):
-                return round(float(line.split()[1]))
-        raise TargetFailedError(
-            f"{self.address.http_url}/metrics has no telefuse_packets_fused_total: is it a telefuse service?"
-        )
+    def counts(self) -> Counts:
+        """How many packets the service has taken and fused since it started."""
+        values = dict(line.rpartition(" ")[::2] for line in self._ask("GET", "/metrics").text.splitlines())
+        try:
+            return Counts(*(round(float(values[f"telefuse_packets_{name}_total"])) for name in ("accepted", "fused")))
+        except (KeyError, ValueError) as error:
+            raise TargetFailedError(
+                f"{self.address.http_url}/metrics has no telefuse_packets_…: is it a telefuse service?"
+            ) from error
 
     def accidents(self, vehicle_ids: Sequence[str]) -> dict[str, int]:
         """When the packet that decided each accident of these vehicles was received, UTC nanoseconds."""

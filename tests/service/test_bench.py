@@ -22,7 +22,7 @@ import pytest
 from service.bench import load
 from service.bench.fleet import REPEAT_EVERY, RecordedDrive, RepeatingLink, record_drives
 from service.bench.load import LoadFigures
-from service.bench.target import Address
+from service.bench.target import Address, Counts
 from service.blackbox.box import LinkListener, Outgoing
 from service.cli import main
 
@@ -44,7 +44,7 @@ def figures(**changed: Any) -> LoadFigures:
         packets_per_s=10.0,
         sent=20,
         acknowledged=20,
-        fused=20,
+        counted=Counts(accepted=20, fused=20),
         resent=1,
         duplicates_sent=2,
         latency_load_per_s=5.0,
@@ -57,8 +57,10 @@ def figures(**changed: Any) -> LoadFigures:
 
 def test_whatever_must_not_happen_is_named() -> None:
     assert figures().shortfalls() == []
-    assert figures(fused=18).shortfalls() == ["2 of 20 packets were lost"]
-    assert figures(fused=21).shortfalls() == ["1 packets were fused twice"]
+    assert figures(counted=Counts(accepted=20, fused=18)).shortfalls() == ["2 of 20 packets were lost"]
+    assert figures(counted=Counts(accepted=20, fused=21)).shortfalls() == ["1 packets were applied twice"]
+    both = figures(counted=Counts(accepted=21, fused=20)).shortfalls()
+    assert both == ["1 of 20 packets were lost", "1 packets were applied twice"], "neither hides the other"
     assert figures(alerts=3).shortfalls() == ["1 of 4 accidents brought no alert"]
     assert figures(alerts=0, latencies_ms=None).shortfalls() == [], "where none could come none is missed"
     assert figures().latency_ms(50) == 20.0
@@ -111,7 +113,7 @@ def test_a_running_service_is_loaded_over_http_and_left_as_it_was(
     address = Address(service.url, token=service.token(tenant, "admin"))
     parts = []
     found = load.measure(address, drives, VEHICLES, 1.0, lambda part, _done, _all: parts.append(part))
-    assert found.sent == found.acknowledged == found.fused > VEHICLES * load.WARM_UP_PACKETS
+    assert found.sent == found.acknowledged == found.counted.fused > VEHICLES * load.WARM_UP_PACKETS
     assert found.shortfalls() == []
     assert found.latencies_ms is None, "this service sends nothing to private addresses"
     assert [part for part, _ in itertools.groupby(parts)] == ["connecting", "throughput", "latency"]

@@ -32,12 +32,14 @@ def service_config(settings: Settings) -> tuple[zenoh.Config, tuple[str, ...]]:
     listen = (
         tuple(_with_port(endpoint) for endpoint in settings.zenoh_listen) if settings.zenoh_mode != "client" else ()
     )
+    # Without shared memory: Zenoh 1.10 has counters for some 350 sessions of one machine and refuses the next.
     values: dict[str, Any] = {
         "mode": settings.zenoh_mode,
         "connect/endpoints": list(settings.zenoh_connect),
         "connect/retry": _RECONNECT,
         "scouting/multicast/enabled": False,
         "transport/unicast/max_sessions": MAX_SESSIONS,
+        "transport/shared_memory/enabled": False,
         "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES,
     }
     if settings.zenoh_mode != "client":
@@ -57,6 +59,8 @@ def client_config(endpoints: Sequence[str]) -> zenoh.Config:
             "connect/endpoints": list(endpoints),
             "connect/retry": _RECONNECT,
             "scouting/multicast/enabled": False,
+            # Each box on the service's own machine would take one of its few hundred counters.
+            "transport/shared_memory/enabled": False,
         },
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -86,3 +86,24 @@ class Measurements:
     accel_full_scale_mps2: float = float("nan")
     ignition: bool | None = None
     flags: int = 0
+
+    def between(self, low_ns: int, high_ns: int) -> Measurements:
+        """What was measured from ``low_ns`` up to but without ``high_ns``; the arrays are views."""
+
+        def cut(t_ns: TimeArray) -> slice:
+            return slice(*(int(i) for i in np.searchsorted(t_ns, [low_ns, high_ns])))
+
+        imu, gnss = cut(self.imu_t_ns), cut(self.gnss_t_ns)
+        magnetic, speed = cut(self.magnetometer_t_ns), cut(self.speed_t_ns)
+        return replace(
+            self,
+            imu_t_ns=self.imu_t_ns[imu],
+            f_s=self.f_s[imu],
+            omega_s=self.omega_s[imu],
+            gnss_t_ns=self.gnss_t_ns[gnss],
+            gnss=self.gnss[gnss],
+            magnetometer_t_ns=self.magnetometer_t_ns[magnetic],
+            magnetic_s_ut=self.magnetic_s_ut[magnetic],
+            speed_t_ns=self.speed_t_ns[speed],
+            speed_mps=self.speed_mps[speed],
+        )

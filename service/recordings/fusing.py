@@ -256,29 +256,8 @@ def _chunks(m: Measurements) -> list[tuple[float, Measurements]]:
     bounds = [np.iinfo(np.int64).min, *[int(e) for e in edges[1:]], np.iinfo(np.int64).max]
     parts = []
     for low, high in pairwise(bounds):
-        parts.append((min(1.0, (high - first) / max(last - first, 1)), between(m, low, high)))
+        parts.append((min(1.0, (high - first) / max(last - first, 1)), m.between(low, high)))
     return parts
-
-
-def between(m: Measurements, low_ns: int, high_ns: int) -> Measurements:
-    """What was measured from ``low_ns`` up to but without ``high_ns``."""
-
-    def cut(t_ns: TimeArray) -> slice:
-        return slice(*(int(i) for i in np.searchsorted(t_ns, [low_ns, high_ns])))
-
-    imu, gnss, magnetic, speed = (cut(t) for t in (m.imu_t_ns, m.gnss_t_ns, m.magnetometer_t_ns, m.speed_t_ns))
-    return replace(
-        m,
-        imu_t_ns=m.imu_t_ns[imu],
-        f_s=m.f_s[imu],
-        omega_s=m.omega_s[imu],
-        gnss_t_ns=m.gnss_t_ns[gnss],
-        gnss=m.gnss[gnss],
-        magnetometer_t_ns=m.magnetometer_t_ns[magnetic],
-        magnetic_s_ut=m.magnetic_s_ut[magnetic],
-        speed_t_ns=m.speed_t_ns[speed],
-        speed_mps=m.speed_mps[speed],
-    )
 
 
 def _by_aid(counts: dict[str, int]) -> dict[str, dict[str, int]]:

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from core.earth import STANDARD_GRAVITY_MPS2
-from core.measurements import FloatArray, Measurements, TimeArray
+from core.measurements import FloatArray, Measurements
 from schemas.packet import encode_packet
 from schemas.telemetry_pb2 import TelemetryPacket
 from service.errors import RecordingError
@@ -55,7 +55,7 @@ def drive_packets(
             vehicle_id or drive.vehicle_id,
             boot_id,
             sequence,
-            _between(m, begin_ns, end_ns),
+            m.between(begin_ns, end_ns),
             period_ns=period_ns,
             accel_scale_mps2=accel_full_scale_mps2 / 32768.0,
             gyro_scale_radps=gyro_full_scale_radps / 32768.0,
@@ -81,27 +81,6 @@ def _edges(m: Measurements, packet_ns: int, period_ns: int) -> list[int]:
     edges = np.unique(np.concatenate([seconds, after_gap, [t_all[-1] + 1]]))
     counts = np.diff(np.searchsorted(t_all, edges))
     return [*edges[:-1][counts > 0].tolist(), int(edges[-1])]
-
-
-def _between(m: Measurements, begin_ns: int, end_ns: int) -> Measurements:
-    def rows(t_ns: TimeArray) -> slice:
-        first, last = np.searchsorted(t_ns, [begin_ns, end_ns])
-        return slice(int(first), int(last))
-
-    imu, gnss = rows(m.imu_t_ns), rows(m.gnss_t_ns)
-    magnetic, speed = rows(m.magnetometer_t_ns), rows(m.speed_t_ns)
-    return replace(
-        m,
-        imu_t_ns=m.imu_t_ns[imu],
-        f_s=m.f_s[imu],
-        omega_s=m.omega_s[imu],
-        gnss_t_ns=m.gnss_t_ns[gnss],
-        gnss=m.gnss[gnss],
-        magnetometer_t_ns=m.magnetometer_t_ns[magnetic],
-        magnetic_s_ut=m.magnetic_s_ut[magnetic],
-        speed_t_ns=m.speed_t_ns[speed],
-        speed_mps=m.speed_mps[speed],
-    )
 
 
 def _least_range(values: FloatArray, ranges: tuple[float, ...]) -> float:

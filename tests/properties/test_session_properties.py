@@ -17,7 +17,6 @@ from core.navigation.track import TRACK_COLUMNS
 from core.preparation import Mounting
 from core.session import Session, SessionConfig
 from core.simulation.scenarios import simulate
-from service.recordings.fusing import between
 
 S = 10**9
 RATE_HZ = 50.0
@@ -48,7 +47,7 @@ def without(m, *series, inside=None):
 
 
 def from_to(drive, from_s, until_s):
-    return between(drive.measurements, drive.start_t_ns + round(from_s * S), drive.start_t_ns + round(until_s * S))
+    return drive.measurements.between(drive.start_t_ns + round(from_s * S), drive.start_t_ns + round(until_s * S))
 
 
 @functools.cache
@@ -140,7 +139,7 @@ def test_any_cutting_and_any_restart_between_tell_the_same_bits(name, detector, 
     bounds = [-(1 << 62), *sorted(cuts), 1 << 62]
     session, outputs = Session(config(detector)), []
     for low, high in pairwise(bounds):
-        outputs.append(session.step(between(m, low, high)))
+        outputs.append(session.step(m.between(low, high)))
         if restore and len(outputs) % 5 == 0:
             session = Session.restore(config(detector), session.snapshot())
     assert Told(session, outputs) == at_once(name, detector)
@@ -152,7 +151,7 @@ def test_one_sample_at_a_time_tells_the_same_bits():
     expected = Told(whole, [whole.step(m)])
     session = Session(config())
     edges = [-(1 << 62), *(int(t) for t in m.imu_t_ns[1:]), 1 << 62]
-    outputs = [session.step(between(m, low, high)) for low, high in pairwise(edges)]
+    outputs = [session.step(m.between(low, high)) for low, high in pairwise(edges)]
     assert Told(session, outputs) == expected
 
 
@@ -164,7 +163,7 @@ def test_what_comes_again_or_too_late_changes_nothing(data):
     edges = [-(1 << 62), *range(first + 10 * S, last, 10 * S), 1 << 62]
     session, outputs, parts = Session(config()), [], []
     for low, high in pairwise(edges):
-        parts.append(between(m, low, high))
+        parts.append(m.between(low, high))
         outputs.append(session.step(parts[-1]))
         if data.draw(st.integers(0, 3)) == 0:
             again = session.step(parts[data.draw(st.integers(0, len(parts) - 1))])
@@ -271,7 +270,7 @@ def test_p_stays_sound_over_a_whole_drive():
     m = drives()["two crashes and a tunnel"]
     first = int(m.imu_t_ns[0])
     for second in range(0, 370, 2):
-        session.step(between(m, first + second * S, first + (second + 2) * S))
+        session.step(m.between(first + second * S, first + (second + 2) * S))
         assert_sound(session)
 
 

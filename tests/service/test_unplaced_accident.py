@@ -15,7 +15,6 @@ from core.session import Accident, Outputs, Session, SessionConfig, _place
 from core.simulation.scenarios import simulate
 from service.engine.effects import Effects
 from service.ingest.journal_rows import JournalEntry
-from service.recordings.fusing import between
 from service.storage.database import read, write
 from service.storage.tables import accidents, events
 from service.storage.vehicles import VehicleDirectory
@@ -26,7 +25,7 @@ def blind_crash() -> Measurements:
     """Half a minute around a crash, from a box without GNSS."""
     drive = simulate("tunnel_crash", seed=1)
     crash_ns = drive.start_t_ns + round(drive.truth["accidents"][0]["t_s"] * 1e9)
-    around = between(drive.measurements, crash_ns - 15_000_000_000, crash_ns + 5_000_000_000)
+    around = drive.measurements.between(crash_ns - 15_000_000_000, crash_ns + 5_000_000_000)
     return replace(around, gnss_t_ns=np.empty(0, np.int64), gnss=np.empty((0, len(GNSS_COLUMNS))))
 
 
@@ -81,10 +80,10 @@ def test_a_vehicle_whose_detector_is_changed_goes_on_from_its_snapshot() -> None
     drive = simulate("tunnel_crash", seed=1)
     start = drive.start_t_ns
     before = Session(SessionConfig())
-    before.step(between(drive.measurements, 0, start + 60_000_000_000))
+    before.step(drive.measurements.between(0, start + 60_000_000_000))
     changed = Session.restore(SessionConfig(detector="paper"), before.snapshot())
     same = Session.restore(SessionConfig(), before.snapshot())
-    after = between(drive.measurements, start + 60_000_000_000, start + 70_000_000_000)
+    after = drive.measurements.between(start + 60_000_000_000, start + 70_000_000_000)
     outputs: list[Outputs] = [changed.step(after), same.step(after), before.step(after)]
     np.testing.assert_array_equal(outputs[0].track.values, outputs[1].track.values)
     np.testing.assert_array_equal(outputs[1].track.values, outputs[2].track.values)

@@ -8,6 +8,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from core.navigation.track import Track
 from service.cli.drives import add_drive, fuse_with_progress, open_drive
 from service.errors import UsageError
@@ -42,12 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     if out is not None:
         check_ending(out)
     outages = [Outage.parse(text) for text in arguments.outage]
-    drive, config = open_drive(
-        arguments,
-        every_s=arguments.every,
-        non_holonomic=not arguments.no_nhc,
-        zero_velocity=not arguments.no_zupt,
-    )
+    drive, config = open_drive(arguments, non_holonomic=not arguments.no_nhc, zero_velocity=not arguments.no_zupt)
     span_s = float(drive.measurements.imu_t_ns[-1] - drive.start_t_ns) * 1e-9
     for outage in outages:
         if outage.start_s >= span_s:
@@ -55,13 +52,21 @@ def run(arguments: argparse.Namespace) -> int:
                 f"outage {outage.start_s:g}:{outage.duration_s:g} begins after the drive's end at {span_s:g} s"
             )
     fused = fuse_with_progress(drive, config, outages)
-    track = fused.track
-    placed = [index for index in range(len(track.t_ns)) if math.isfinite(track.values[index, 0])]
     if out is not None:
-        export_track(out, TrackFile(Track(track.t_ns[placed], track.values[placed]), drive.start_t_ns, drive.name))
+        export_track(out, TrackFile(_written(fused.track, arguments.every), drive.start_t_ns, drive.name))
     found = figures(drive, fused, outages) | {"out": None if out is None else str(out)}
     print(json.dumps(found, default=float) if arguments.json else _text(drive.name, found))
     return 0
+
+
+def _written(track: Track, every_s: float) -> Track:
+    """The rows that have a place, thinned to the first of each ``every_s``: figures are of all rows."""
+    placed = np.isfinite(track.column("lat_rad"))
+    t_ns, rows = track.t_ns[placed], track.values[placed]
+    if every_s > 0.0:
+        first = np.diff(t_ns // round(every_s * 1e9), prepend=-1) != 0
+        t_ns, rows = t_ns[first], rows[first]
+    return Track(t_ns, rows)
 
 
 def _text(name: str, found: dict[str, Any]) -> str:

@@ -148,6 +148,12 @@ def test_rows_are_thinned(folders, capsys, tmp_path, every_s):
     assert np.diff(times) == pytest.approx(np.full(len(times) - 1, every_s), abs=0.03)  # on the samples' own times
 
 
+def test_figures_are_of_all_rows_however_few_are_written(folders, capsys):
+    outage = ("--outage", "100:20")
+    all_rows = figures(capsys, folders / "city", *outage)
+    assert figures(capsys, folders / "city", *outage, "--every", 2)["outages"] == all_rows["outages"]
+
+
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "geojson", "gpx", "kml", "parquet"])
 def test_every_ending_is_written(folders, capsys, tmp_path, ending):
     if ending == "parquet":

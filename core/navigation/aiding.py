@@ -1,7 +1,8 @@
 """Measurement updates: GNSS, constraints, standstill, wheel speed. Each counts its outcome.
 
 Innovations are z - h(x). A refused aid changes nothing but counters (and, for positions, the memory from
-which a run of refused fixes that agree with each other is recognised as the truth: recovery).
+which a run of refused fixes that agree with each other is recognised as the truth: recovery; a refused height
+widens the spread of the filter's own, for the same end).
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from core.navigation.track import TRACK_COLUMNS
 
 RATE_HZ: Final = 200
 WARM_UP_PACKETS: Final = 20
+ROUNDS: Final = 7
 SPEED_MPS, YAW_RATE_RADPS, LAT_RAD = 12.0, 0.05, 0.8
 EARTH_RADIUS_M: Final = 6.37e6
 START_NS: Final = 1_700_000_000_000_000_000
@@ -60,9 +61,12 @@ def _circle(packets: int) -> _Circle:
     return _Circle(START_NS + np.arange(n) * (1_000_000_000 // RATE_HZ), f_b, omega_b, gnss)
 
 
-def measure(packets: int = 2000) -> dict[str, Any]:
-    """Nanoseconds a sample: median and quartiles over packets, single-threaded, and the call's own share."""
-    drive = _circle(packets + WARM_UP_PACKETS)
+def measure(packets: int = 1000) -> dict[str, Any]:
+    """Nanoseconds a sample: median and quartiles over packets, single-threaded, and the call's own share.
+
+    Of ``ROUNDS`` rounds the quietest counts, as whatever else the machine does can only add to a round.
+    """
+    drive = _circle(ROUNDS * packets + WARM_UP_PACKETS)
     fused = NavigationFilter(FilterConfig())
     no_speed = (np.empty(0, np.int64), np.empty(0))
     no_field = (np.empty(0, np.int64), np.empty((0, 3)))
@@ -86,7 +90,13 @@ def measure(packets: int = 2000) -> dict[str, Any]:
         kernel.run(*arguments)
         return time.perf_counter_ns() - begin
 
-    spent = np.array([call(*drive.packet(WARM_UP_PACKETS + index)) for index in range(packets)])
+    rounds = np.array(
+        [
+            [call(*drive.packet(WARM_UP_PACKETS + r * packets + index)) for index in range(packets)]
+            for r in range(ROUNDS)
+        ]
+    )
+    spent = rounds[np.argmin(np.median(rounds, axis=1))]
     empty = np.array([call(slice(0, 0), slice(0, 0)) for _ in range(packets)])
     low, median, high = (float(v) / RATE_HZ for v in np.percentile(spent, [25, 50, 75]))
     return {
@@ -94,5 +104,6 @@ def measure(packets: int = 2000) -> dict[str, Any]:
         "ns_per_epoch_quartiles": [low, high],
         "call_ns": float(np.median(empty)),
         "packets": packets,
+        "rounds": ROUNDS,
         "rate_hz": RATE_HZ,
     }

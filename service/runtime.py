@@ -165,7 +165,7 @@ class Runtime:
                 if any(asdict(removed).values()):
                     logger.info("removed what is older than it is kept", extra={"fields": asdict(removed)})
             except SQLAlchemyError as error:
-                logger.warning("what is too old stays for now: %s", error)
+                logger.warning("what is too old could not be removed and is tried again in an hour: %s", error)
             await asyncio.sleep(PRUNE_EVERY_S)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import gzip
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,18 +12,15 @@ from scipy.signal import butter, sosfiltfilt
 from core.accident.detector import ImpactDetector
 from core.accident.events import Severity, VehicleMotion
 from core.accident.paper_rule import PaperRule
+from tests.recordings import recording
 
 G = 9.80665
 EPOCH_NS = 1_700_000_000_000_000_000
-SHARED = Path(__file__).resolve().parents[2].parent / "shared"
 DETECTORS = pytest.mark.parametrize("detector", [ImpactDetector, PaperRule])
 
 
 def table(*parts):
-    path = SHARED.joinpath(*parts)
-    if not path.exists():
-        pytest.skip(f"real recording {'/'.join(parts)} is not in ../shared")
-    with gzip.open(path, "rt") as file:
+    with gzip.open(recording(*parts), "rt") as file:
         names = file.readline().strip().split(",")
         return dict(zip(names, np.genfromtxt(file, delimiter=",").T, strict=True))
 
@@ -73,11 +69,8 @@ def test_harsh_braking_and_turning_are_no_accident(trip, attitude, detector):
 
 
 def shocks():
-    path = SHARED / "data" / "shocks_road_anomalies_2017" / "road_anomalies.csv.gz"
-    if not path.exists():
-        pytest.skip("the 500 real road shocks are not in ../shared")
     series = {}
-    with gzip.open(path, "rt") as file:
+    with gzip.open(recording("data", "shocks_road_anomalies_2017", "road_anomalies.csv.gz"), "rt") as file:
         for row in csv.DictReader(file):
             series.setdefault(row["series"], []).append(float(row["acc_z"]))
     assert len(series) == 500

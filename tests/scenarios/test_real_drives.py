@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,16 +10,14 @@ import pytest
 from core.navigation.track import Mode
 from service.recordings.drive_folder import read_drive
 from service.recordings.fusing import Outage, figures, fuse, fuse_config, vehicle_config
+from tests.recordings import recording
 
-DRIVES = Path(__file__).resolve().parents[2].parent / "shared" / "drives"
 NAMES = ["kth_stockholm", "comma2k19_segment", "boston_vn100"]
 
 
 @functools.cache
 def drive(name):
-    if not (DRIVES / name / "drive.toml").exists():
-        pytest.skip(f"real recording {name} is not in ../shared/drives")
-    return read_drive(DRIVES / name)
+    return read_drive(recording("drives", name))
 
 
 @functools.cache

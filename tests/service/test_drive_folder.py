@@ -16,8 +16,8 @@ from service.cli import main
 from service.errors import RecordingError
 from service.recordings.drive_folder import AttitudeSeries, Drive, Reference, read_drive, write_drive
 from service.recordings.drive_toml import Driver, GnssSetup, ImuSetup
+from tests.recordings import recording
 
-SHARED = Path(__file__).parents[3] / "shared" / "drives"
 TOML = 'name = "n"\nstart_utc = "2024-05-06T08:30:00Z"\nvehicle_id = "v"\n'
 IMU = "t_s,ax_mps2,ay_mps2,az_mps2,gx_radps,gy_radps,gz_radps\n0.0,0,0,-9.8,0,0,0\n0.01,0.1,0,-9.8,0,0,0.2\n"
 START_NS = 1_714_984_200_000_000_000
@@ -190,9 +190,7 @@ def test_only_an_empty_or_a_drive_folder_is_written_over(tmp_path: Path) -> None
     ],
 )
 def test_real_recordings_are_read_as_they_are(name: str, samples: int, fixes: int, is_msl: bool) -> None:
-    if not (SHARED / name).is_dir():
-        pytest.skip(f"{SHARED / name} is not there")
-    drive = read_drive(SHARED / name)
+    drive = read_drive(recording("drives", name))
     assert drive.measurements.imu_t_ns.size == samples
     assert drive.measurements.gnss_t_ns.size == fixes
     assert drive.gnss_alt_is_msl is is_msl

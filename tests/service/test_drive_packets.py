@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +17,7 @@ from service.ingest.validation import check_content, check_identity
 from service.recordings.drive_folder import Drive, read_drive
 from service.recordings.packets import drive_packets
 from service.recordings.simulated import drive_of
-
-SHARED = Path(__file__).parents[3] / "shared" / "drives"
+from tests.recordings import recording
 
 
 def _received(drive: Drive, **options: float) -> list[Measurements]:
@@ -66,9 +64,7 @@ def test_the_wide_form_keeps_what_counts_would_clip(simulated: Drive) -> None:
 
 @pytest.mark.parametrize("name", ["kth_stockholm", "comma2k19_segment", "boston_vn100"])
 def test_a_real_recording_arrives_whole_with_its_own_times(name: str) -> None:
-    if not (SHARED / name).is_dir():
-        pytest.skip(f"{SHARED / name} is not there")
-    drive = read_drive(SHARED / name)
+    drive = read_drive(recording("drives", name))
     parts = _received(drive)
     for series in ("imu_t_ns", "gnss_t_ns", "magnetometer_t_ns", "speed_t_ns"):
         assert np.array_equal(_all(parts, series), getattr(drive.measurements, series)), series

@@ -20,6 +20,7 @@ from service.ingest.sequencing import Sequencer
 from service.recordings.drive_folder import Drive, read_drive, write_drive
 from service.storage import keys, tenants
 from service.storage.database import write
+from tests.recordings import recording
 from tests.service.ingest_harness import (
     SECOND_NS,
     T0_NS,
@@ -30,8 +31,6 @@ from tests.service.ingest_harness import (
     poisoned,
     spawn,
 )
-
-DRIVES = Path(__file__).resolve().parents[3] / "shared" / "drives"
 
 
 def a_drive(seconds: int) -> Drive:
@@ -101,9 +100,7 @@ def test_a_replay_can_begin_in_the_middle(
 
 @pytest.mark.parametrize("name", ["kth_stockholm", "comma2k19_segment", "boston_vn100"])
 def test_real_recordings_arrive_whole(name: str, service: IngestService, capsys: pytest.CaptureFixture[str]) -> None:
-    if not (DRIVES / name).is_dir():
-        pytest.skip(f"the recording {name} is not beside the repository")
-    status, figures = replayed(capsys, str(DRIVES / name), "--to", service.start_zenoh())
+    status, figures = replayed(capsys, str(recording("drives", name)), "--to", service.start_zenoh())
     assert (status, figures["refused"], figures["lost"]) == (0, 0, 0)
     assert len(service.rows()) == figures["packets"] == figures["acknowledged"]
 

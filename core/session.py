@@ -19,13 +19,13 @@ from core.earth import STANDARD_GRAVITY_MPS2, radii_m
 from core.measurements import Measurements
 from core.navigation import state
 from core.navigation.alignment import next_second_ns
-from core.navigation.filter import Aids, FilterConfig, NavigationFilter, Series
+from core.navigation.filter import Aids, FilterConfig, NavigationFilter
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.preparation import Mounting, Preparation
 from core.sensors import TriadCalibration
 from core.snapshot import pack, unpack
 
-SNAPSHOT_VERSION: Final = 1
+SNAPSHOT_VERSION: Final = 2
 RECENT_S: Final = 5.0
 """Track kept to place an impact that is decided after it began."""
 CARRIED_ON_S: Final = 2.0
@@ -78,7 +78,6 @@ class SessionConfig:
     gyroscope: TriadCalibration = field(default_factory=TriadCalibration)
     mounting: Mounting = field(default_factory=Mounting)
     accel_full_scale_mps2: float = math.nan
-    gnss_time_offset_s: float = 0.0
     filter: FilterConfig = field(default_factory=FilterConfig)
     detector: Literal["telefuse", "paper"] = "telefuse"
     impact: DetectorThresholds = field(default_factory=DetectorThresholds)
@@ -179,14 +178,18 @@ class Session:
         ]
 
     def _aids(self, m: Measurements) -> Aids:
-        shift_ns = round(self.config.gnss_time_offset_s * 1e9)
-        gnss: Series = (m.gnss_t_ns + shift_ns, m.gnss)
         magnetic = self._preparation.magnetic_b_ut(m.magnetic_s_ut)
-        return Aids(gnss, (m.magnetometer_t_ns, magnetic), (m.speed_t_ns, m.speed_mps))
+        return Aids(
+            (m.gnss_t_ns, m.gnss),
+            (m.magnetometer_t_ns, magnetic),
+            (m.speed_t_ns, m.speed_mps),
+            (m.barometer_t_ns, m.pressure_pa),
+        )
 
     @staticmethod
     def _add_counts(table: npt.NDArray[np.int64], counts: dict[str, int]) -> None:
-        for aid, outcome in zip(*np.nonzero(table), strict=True):
+        # An aid that came late is judged with all that followed it anew: what others then lose is not taken back.
+        for aid, outcome in zip(*np.nonzero(table > 0), strict=True):
             name = f"{state.AIDS[aid]}.{state.OUTCOMES[outcome]}"
             counts[name] = counts.get(name, 0) + int(table[aid, outcome])
 

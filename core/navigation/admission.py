@@ -30,6 +30,9 @@ MAX_SPEED_MPS = 200.0
 MAX_SPREAD = 1_000.0
 """A fix with a spread (m, m/s) or dilution beyond this says nothing."""
 
+PRESSURES_PA = (30_000.0, 110_000.0)
+"""From above the highest road (5 900 m, 480 hPa) to the shore of the Dead Sea (1 070 hPa); a sensor's own range."""
+
 MAX_FIELD_UT = 10_000.0
 """Beyond the end of a box's magnetometer, 4900 uT: a damaged sample."""
 
@@ -90,10 +93,26 @@ def usable_speeds(speed_mps: FloatArray) -> BoolArray:
     return (speed_mps >= 0.0) & (speed_mps <= MAX_SPEED_MPS)
 
 
+def usable_pressures(pressure_pa: FloatArray) -> BoolArray:
+    """Which air pressures (n,) there are on roads."""
+    return (pressure_pa >= PRESSURES_PA[0]) & (pressure_pa <= PRESSURES_PA[1])
+
+
+@njit(cache=True, nogil=True)
+def thinned(t_ns: TimeArray, last_ns: int, interval_ns: int) -> tuple[BoolArray, int]:
+    """Which times (n,) lie ``interval_ns`` after the one chosen before, from ``last_ns`` on; and the last chosen."""
+    chosen = np.zeros(t_ns.shape[0], np.bool_)
+    for k in range(t_ns.shape[0]):
+        if t_ns[k] - last_ns >= interval_ns:
+            chosen[k] = True
+            last_ns = t_ns[k]
+    return chosen, last_ns
+
+
 def timely(
-    t_ns: TimeArray, imu_t_ns: TimeArray, last_imu_ns: int, newest_ns: int, ahead_s: float
+    t_ns: TimeArray, imu_t_ns: TimeArray, last_imu_ns: int, newest_ns: int, ahead_s: float, late_s: float
 ) -> tuple[BoolArray, int]:
-    """Which times (n,) of a series are later than all before and not too long after an inertial sample.
+    """Which times (n,) of a series are later than all before and neither too long before nor after a sample.
 
     Where the inertial samples have a hole, or before the first, there is nothing to aid: what came in would
     pile up, and a time far ahead would keep all after it out.
@@ -104,12 +123,13 @@ def timely(
     last_imu_ns : the inertial sample before those, 0 if none
     newest_ns : the newest time of the series that was let in, 0 if none
     ahead_s : how far after an inertial sample
+    late_s : how far before the last inertial sample that was taken in before
 
     Returns
     -------
     (n,) mask, and the newest time let in
     """
     sample_ns = np.concatenate([[last_imu_ns], imu_t_ns])[np.searchsorted(imu_t_ns, t_ns, side="right")]
-    near = (sample_ns > 0) & (t_ns <= sample_ns + int(ahead_s * 1e9))
+    near = (sample_ns > 0) & (t_ns <= sample_ns + int(ahead_s * 1e9)) & (t_ns >= last_imu_ns - int(late_s * 1e9))
     before_ns = np.maximum.accumulate(np.concatenate([[newest_ns], np.where(near, t_ns, 0)]))
     return near & (t_ns > before_ns[:-1]), int(before_ns[-1])

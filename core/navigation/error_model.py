@@ -12,7 +12,7 @@ from typing import Final
 from numba import njit
 
 from core.measurements import FloatArray
-from core.navigation.kalman import Row
+from core.navigation.kalman import Nine
 from core.navigation.state import ACCEL_BIAS, ATT, GYRO_BIAS, POS, VEL
 
 N_MOVING: Final = 9
@@ -61,7 +61,7 @@ def _attitude_row(p: FloatArray, m: FloatArray, n: int, i: int, g: BiasRow) -> N
 
 
 @njit(cache=True, nogil=True)
-def propagate(p: FloatArray, m: FloatArray, n: int, dt: float, dv: BiasRow, c: Row, q: FloatArray) -> None:
+def propagate(p: FloatArray, m: FloatArray, n: int, dt: float, dv: BiasRow, c: Nine, q: FloatArray) -> None:
     """P <- Phi P Phi' + Q in place.
 
     Phi touches the nine rows of position, velocity and attitude only, so the blocks of the slow states

@@ -1,6 +1,6 @@
 """The navigation filter of one vehicle: aligns, then folds samples and aids into a track.
 
-The work is in ``kernel.run``; here is what surrounds it: aids that wait for their sample, the change
+The work is in ``kernel.run``; here is what surrounds it: aids that wait for their sample or come late, the change
 between aligning and navigating, snapshots.
 """
 
@@ -12,19 +12,43 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from core.atmosphere import pressure_height_m
 from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation import kernel, state
-from core.navigation.admission import timely, usable_fields, usable_fixes, usable_speeds
+from core.navigation.admission import (
+    thinned,
+    timely,
+    usable_fields,
+    usable_fixes,
+    usable_pressures,
+    usable_speeds,
+)
 from core.navigation.alignment import SECOND_NS, Aligner, InitialState, next_second_ns
+from core.navigation.lateness import Recent
 from core.navigation.mechanization import normalised, renew_mounting, start_frame
+from core.navigation.nodes import NODE_WIDTH
+from core.navigation.pending import Pending, pending
+from core.navigation.recorder import Recorder
+from core.navigation.records import RECORD_COLUMNS, AidRecords
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.navigation.tuning import Tuning
 from core.rotation import matrix_from_quaternion
 
 Series = tuple[TimeArray, FloatArray]
 
-_AID_OF_SERIES: Final = (state.A_POSITION, state.A_MAGNETOMETER, state.A_SPEED)
-"""Rows of the counters for the series of ``Aids``, in their order."""
+_AID_OF_KIND: Final = {
+    state.K_GNSS: state.A_POSITION,
+    state.K_SPEED: state.A_SPEED,
+    state.K_MAGNETIC: state.A_MAGNETOMETER,
+    state.K_BARO: state.A_BAROMETER,
+}
+_RECORDS_A_FIX: Final = 6
+_RECORDS_A_CONSTRAINT: Final = 6
+"""Most records that a fix (two of position, one of height, three of velocity) and a constraint (standstill) bring."""
+
+
+def _no_series(columns: int | None = None) -> Series:
+    return np.empty(0, np.int64), np.empty(0) if columns is None else np.empty((0, columns))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,29 +56,34 @@ class Aids:
     """Samples in body axes besides the inertial ones: each a pair of times (n,) and rows."""
 
     gnss: Series
-    magnetic_b_ut: Series
-    speed: Series
+    magnetic_b_ut: Series = field(default_factory=lambda: _no_series(3))
+    speed: Series = field(default_factory=_no_series)
+    pressure_pa: Series = field(default_factory=_no_series)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterOutput:
-    """Track rows, and at each inertial sample down in b (3) and horizontal speed: (n, 4), NaN while aligning."""
+    """Track rows, and at each inertial sample down in b (3) and horizontal speed: (n, 4), NaN while aligning.
+
+    ``records`` tells of each aid that was compared since the call before; of one that came late, of it alone.
+    """
 
     track: Track
     epochs: FloatArray
-
-
-def _empty_rows(columns: int) -> FloatArray:
-    return np.empty((0, columns))
+    records: AidRecords
 
 
 @dataclass(frozen=True, slots=True)
 class FilterConfig:
-    """Set once: tunables, places of sensor and antenna in the body (m), and which constraints hold."""
+    """Set once: tunables, places of sensor and antenna in the body (m), and which constraints hold.
+
+    ``gnss_time_offset_s`` is added to the times of fixes.
+    """
 
     tuning: Tuning = field(default_factory=Tuning)
     imu_lever_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     antenna_lever_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gnss_time_offset_s: float = 0.0
     mount_angle_sd_rad: float | None = None
     """Spread of the mounting left after calibration; None takes the tunable's."""
     non_holonomic: bool = True
@@ -67,23 +96,24 @@ class NavigationFilter:
     def __init__(self, config: FilterConfig) -> None:
         self.config = config
         self._par = config.tuning.as_array()
-        self._switches = (kernel.USE_NHC if config.non_holonomic else 0) | (
-            kernel.USE_ZUPT if config.zero_velocity else 0
-        )
-        self._imu_lever = np.array(config.imu_lever_b_m, dtype=float)
-        self._antenna_lever = np.array(config.antenna_lever_b_m, dtype=float) - self._imu_lever
+        switches = (kernel.USE_NHC if config.non_holonomic else 0) | (kernel.USE_ZUPT if config.zero_velocity else 0)
+        imu_lever = np.array(config.imu_lever_b_m, dtype=float)
+        antenna_lever = np.array(config.antenna_lever_b_m, dtype=float) - imu_lever
+        self._setup = np.concatenate([imu_lever, antenna_lever, [float(switches)]])
         self.x = np.zeros(state.NX)
         self.ti = np.zeros(state.NT, np.int64)
         self.p = np.zeros(state.N_STATES**2)
         self._scratch = np.zeros(kernel.SCRATCH)
-        self.ring = np.zeros(6 * state.N_BLOCKS)
-        self.counts = np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64)
         self._aligned = np.zeros(1, np.bool_)
         self._known = np.zeros(1, np.bool_)  # biases and mounting were estimated before
         self._evaluation_ns = np.zeros(1, np.int64)
-        self._newest_aid_ns = np.zeros(len(_AID_OF_SERIES), np.int64)
+        self._newest_aid_ns = np.zeros(len(_AID_OF_KIND), np.int64)
+        self._used_aid_ns = np.zeros(len(_AID_OF_KIND), np.int64)
         self._aligner = Aligner(config.tuning)
-        self._waiting = Aids(*_no_aids())
+        self._pending = Pending()
+        self._recent = Recent()
+        self.recorder: Recorder | None = None
+        """Set by post-processing, which wants more than a stream can keep."""
 
     @property
     def aligned(self) -> bool:
@@ -94,6 +124,11 @@ class NavigationFilter:
     def t_ns(self) -> int:
         """Time of the newest sample taken in; 0 before the first."""
         return int(self.ti[state.T_NOW])
+
+    @property
+    def counts(self) -> TimeArray:
+        """How often each aid had each outcome, (len(AIDS), len(OUTCOMES)); a view."""
+        return self.ti[state.I_COUNTS :].reshape(len(state.AIDS), len(state.OUTCOMES))
 
     def covariance(self) -> FloatArray:
         """Covariance of the error states, (N_STATES, N_STATES)."""
@@ -109,84 +144,168 @@ class NavigationFilter:
         imu_t_ns : (n,) int64, increasing
         f_b, omega_b : (n, 3) calibrated specific force (m/s2) and rate (rad/s) in body axes
         saturated : (n,) 1 where the accelerometer read its full scale
-        aids : GNSS, magnetometer and wheel speed of the same span
+        aids : GNSS, magnetometer, wheel speed and air pressure of the same span
         """
         self._admit(imu_t_ns, aids)
         epochs = np.full((len(imu_t_ns), 4), np.nan)
         rows: list[Track] = []
+        records: list[AidRecords] = []
         begin = 0
         while begin < len(imu_t_ns):
             if self.aligned:
-                used, track = self._navigate(
-                    imu_t_ns[begin:], f_b[begin:], omega_b[begin:], saturated[begin:], epochs[begin:]
+                used = self._navigate(
+                    imu_t_ns[begin:], f_b[begin:], omega_b[begin:], saturated[begin:], epochs[begin:], rows, records
                 )
             else:
                 used, track = self._align(imu_t_ns[begin:], f_b[begin:], omega_b[begin:])
-            begin += used
-            if len(track.t_ns):
                 rows.append(track)
-        if not rows:
-            return FilterOutput(Track(np.empty(0, np.int64), _empty_rows(len(TRACK_COLUMNS))), epochs)
-        if len(rows) == 1:
-            return FilterOutput(rows[0], epochs)
-        joined = Track(np.concatenate([r.t_ns for r in rows]), np.concatenate([r.values for r in rows]))
-        return FilterOutput(joined, epochs)
+                if self.recorder is not None:
+                    self.recorder.add(_no_nodes(), track, _no_records())
+            begin += used
+        return FilterOutput(_joined_rows(rows), epochs, _joined_records(records))
 
     # Aids
 
     def _admit(self, imu_t_ns: TimeArray, aids: Aids) -> None:
         """Let those aids wait for their sample that can be used."""
-        new = (aids.gnss, aids.magnetic_b_ut, aids.speed)
-        waiting = [self._waiting.gnss, self._waiting.magnetic_b_ut, self._waiting.speed]
-        usable = (
-            lambda rows: usable_fixes(rows, self._par),
-            usable_fields,
-            usable_speeds,
+        tuning = self.config.tuning
+        kinds = (
+            (state.K_GNSS, aids.gnss, lambda rows: usable_fixes(rows, self._par), 0.0),
+            (state.K_SPEED, aids.speed, usable_speeds, tuning.speed_interval_s),
+            (state.K_MAGNETIC, aids.magnetic_b_ut, usable_fields, tuning.magnetic_interval_s),
+            (state.K_BARO, aids.pressure_pa, usable_pressures, tuning.baro_interval_s),
         )
-        for kind, (t_ns, rows) in enumerate(new):
+        for kind, (t_ns, values), usable, interval_s in kinds:
             if not len(t_ns):
                 continue
             in_time, newest_ns = timely(
-                t_ns, imu_t_ns, self.t_ns, int(self._newest_aid_ns[kind]), self.config.tuning.max_gap_s
+                t_ns, imu_t_ns, self.t_ns, int(self._newest_aid_ns[kind]), tuning.max_gap_s, tuning.late_s
             )
-            in_range = usable[kind](rows)
+            in_range = usable(values)
             kept = in_time & in_range
             self._newest_aid_ns[kind] = newest_ns
-            self.counts[_AID_OF_SERIES[kind], state.REJECTED_TIME] += np.count_nonzero(~in_time)
-            self.counts[_AID_OF_SERIES[kind], state.REJECTED_RANGE] += np.count_nonzero(in_time & ~in_range)
-            old_t_ns, old_rows = waiting[kind]
-            waiting[kind] = np.concatenate([old_t_ns, t_ns[kept]]), np.concatenate([old_rows, rows[kept]])
-        self._waiting = Aids(*waiting)
+            aid = _AID_OF_KIND[kind]
+            self.counts[aid, state.REJECTED_TIME] += np.count_nonzero(~in_time)
+            self.counts[aid, state.REJECTED_RANGE] += np.count_nonzero(in_time & ~in_range)
+            t_ns, values = t_ns[kept], values[kept]
+            if interval_s > 0.0:
+                chosen, self._used_aid_ns[kind] = thinned(t_ns, int(self._used_aid_ns[kind]), int(interval_s * 1e9))
+                t_ns, values = t_ns[chosen], values[chosen]
+            # Known from its own time on; where samples have gone past that, from the next one.
+            from_ns = np.maximum(t_ns, self.t_ns + 1)
+            if kind == state.K_GNSS:
+                t_ns = t_ns + round(self.config.gnss_time_offset_s * 1e9)
+            elif kind == state.K_BARO:
+                values = pressure_height_m(values)
+            self._pending = self._pending.join(pending(kind, t_ns, np.maximum(from_ns, t_ns), values))
 
     # Navigating
 
     def _navigate(
-        self, t_ns: TimeArray, f_b: FloatArray, omega_b: FloatArray, saturated: FloatArray, epochs: FloatArray
-    ) -> tuple[int, Track]:
-        interval_ns = round(self.config.tuning.output_interval_s * 1e9)
-        span_ns = int(t_ns[-1]) - self.t_ns
-        capacity = len(t_ns) if interval_ns == 0 else min(len(t_ns), max(span_ns, 0) // interval_ns + 2)
-        out_t, out = np.empty(capacity, np.int64), np.empty((capacity, len(TRACK_COLUMNS)))
-        gnss_t, gnss = self._waiting.gnss
-        speed_t, speed = self._waiting.speed
-        used, used_gnss, used_speed, n_rows, stopped = kernel.run(
-            *self.kernel_arguments(t_ns, f_b, omega_b, saturated, (gnss_t, gnss), (speed_t, speed), epochs, out_t, out)
-        )
-        magnetic_t, magnetic = self._waiting.magnetic_b_ut
-        later = magnetic_t > self.t_ns
-        self._waiting = Aids(
-            (gnss_t[used_gnss:], gnss[used_gnss:]),
-            (magnetic_t[later], magnetic[later]),
-            (speed_t[used_speed:], speed[used_speed:]),
-        )
+        self,
+        t_ns: TimeArray,
+        f_b: FloatArray,
+        omega_b: FloatArray,
+        saturated: FloatArray,
+        epochs: FloatArray,
+        rows: list[Track],
+        records: list[AidRecords],
+    ) -> int:
+        """Fold samples up to where a late aid is known, or go back for that; returns how many were used."""
+        late = self._pending.from_ns > self._pending.t_ns
+        end = len(t_ns)
+        if late.any():
+            end = int(np.searchsorted(t_ns, self._pending.from_ns[late].min()))
+            if end == 0:
+                self._go_back(late & (self._pending.from_ns <= t_ns[0]), records)
+                return 0
+        aids = self._pending.take(~late)
+        own = t_ns[:end], f_b[:end], omega_b[:end], saturated[:end]
+        used, used_aids, track, told, stopped = self._run(*own, aids, epochs[:end])
+        rows.append(track)
+        records.append(told)
+        self._recent.add(*(one[:used] for one in own), aids.take(slice(0, used_aids)))
+        done = np.zeros(len(self._pending), np.bool_)
+        done[np.flatnonzero(~late)[:used_aids]] = True
+        self._pending = self._pending.take(~done)
         if stopped != kernel.STOPPED_END:
-            self._aligned[0] = False
-            # What led astray may be the very biases and angles.
-            self._known[0] = stopped == kernel.STOPPED_GAP
-            self.counts[state.A_IMU, state.RESET] += 1
-            self._aligner.forget()
-            self._evaluation_ns[0] = 0
-        return used, Track(out_t[:n_rows], out[:n_rows])
+            self._align_anew(stopped)
+        return used
+
+    def _go_back(self, chosen: npt.NDArray[np.bool_], records: list[AidRecords]) -> None:
+        """Let late aids in at their own time: from a state kept before it, fold everything since in again."""
+        late = self._pending.take(chosen)
+        self._pending = self._pending.take(~chosen)
+        now_ns = self.t_ns
+        ahead = late.t_ns > now_ns  # of an instant between the last sample and the next: nothing to go back for
+        if ahead.any():
+            early = late.take(ahead)
+            self._pending = self._pending.join(Pending(early.t_ns, early.t_ns, early.rows))
+        late = late.take(~ahead)
+        while len(late) and (slot := self._recent.slot_before(int(late.t_ns[0]))) is None:
+            self.counts[_AID_OF_KIND[round(late.rows[0, 0])], state.REJECTED_TIME] += 1
+            late = late.take(slice(1, None))
+        if not len(late) or slot is None:
+            return
+        recent = self._recent
+        kept = recent.kept[slot]
+        self.x[:], self.p[:], self.ti[:] = kept[: state.NX], kept[state.NX :], recent.kept_ti[slot]
+        recent.aids = recent.aids.join(late)
+        again, aids = recent.t_ns > self.t_ns, recent.aids.take(recent.aids.t_ns > self.t_ns)
+        if self.recorder is not None:
+            self.recorder.cut(self.t_ns)
+        samples = np.ascontiguousarray(recent.samples[again])
+        epochs = np.empty((len(samples), 4))
+        f_b, omega_b = np.ascontiguousarray(samples[:, :3]), np.ascontiguousarray(samples[:, 3:6])
+        _, _, _, told, stopped = self._run(
+            recent.t_ns[again], f_b, omega_b, np.ascontiguousarray(samples[:, 6]), aids, epochs
+        )
+        own = np.isin(told.t_ns, late.t_ns)
+        records.append(AidRecords(told.t_ns[own], told.values[own]))
+        if stopped != kernel.STOPPED_END:
+            self.ti[state.T_NOW] = now_ns
+            self._align_anew(stopped)
+
+    def _run(
+        self,
+        t_ns: TimeArray,
+        f_b: FloatArray,
+        omega_b: FloatArray,
+        saturated: FloatArray,
+        aids: Pending,
+        epochs: FloatArray,
+    ) -> tuple[int, int, Track, AidRecords, int]:
+        """Samples and aids used, rows, records, and why the kernel came back."""
+        tuning = self.config.tuning
+        span_ns = max(int(t_ns[-1]) - self.t_ns, 0)
+
+        def instants(interval_s: float) -> int:
+            interval_ns = round(interval_s * 1e9)
+            return len(t_ns) if interval_ns == 0 else min(len(t_ns), span_ns // interval_ns + 2)
+
+        n_aids, constraints = len(aids), instants(tuning.constraint_interval_s)
+        rows = Track(*_table(instants(tuning.output_interval_s), len(TRACK_COLUMNS)))
+        log = AidRecords(
+            *_table(_RECORDS_A_CONSTRAINT * constraints + _RECORDS_A_FIX * n_aids, len(RECORD_COLUMNS))
+        )
+        n_nodes = 0
+        if self.recorder is not None:
+            n_nodes = instants(tuning.covariance_interval_s) + constraints + n_aids
+        nodes = _table(n_nodes, NODE_WIDTH)
+        used, used_aids, n_rows, stopped = kernel.run(
+            *self.kernel_arguments(
+                t_ns, f_b, omega_b, saturated, aids.t_ns, aids.rows, epochs,
+                rows.t_ns, rows.values, log.t_ns, log.values, *nodes,
+            )
+        )  # fmt: skip
+        n_records, n_nodes = int(self.ti[state.I_RECORDS]), int(self.ti[state.I_NODES])
+        # Of no meaning between calls: the state is to be the same however the samples come.
+        self.ti[state.I_RECORDS] = self.ti[state.I_NODES] = 0
+        track = Track(rows.t_ns[:n_rows], rows.values[:n_rows])
+        records = AidRecords(log.t_ns[:n_records], log.values[:n_records])
+        if self.recorder is not None:
+            self.recorder.add((nodes[0][:n_nodes], nodes[1][:n_nodes]), track, records)
+        return used, used_aids, track, records, stopped
 
     def kernel_arguments(
         self,
@@ -194,18 +313,24 @@ class NavigationFilter:
         f_b: FloatArray,
         omega_b: FloatArray,
         saturated: FloatArray,
-        gnss: Series,
-        speed: Series,
+        aid_t_ns: TimeArray,
+        aids: FloatArray,
         epochs: FloatArray,
-        out_t_ns: TimeArray,
-        out: FloatArray,
+        *outputs: npt.NDArray[Any],
     ) -> tuple[Any, ...]:
-        """The state and these samples in the order of ``kernel.run``."""
+        """The state, these samples and aids, and where the outputs go, in the order of ``kernel.run``."""
         return (
-            self.x, self.ti, self.p, self.ring, self._scratch, self._par,
-            self._switches, self._imu_lever, self._antenna_lever,
-            t_ns, f_b, omega_b, saturated, *gnss, *speed, epochs, out_t_ns, out, self.counts,
+            self.x, self.ti, self.p, self._recent.kept, self._recent.kept_ti, self._scratch, self._par, self._setup,
+            t_ns, f_b, omega_b, saturated, aid_t_ns, aids, epochs, *outputs,
         )  # fmt: skip
+
+    def _align_anew(self, stopped: int) -> None:
+        self._aligned[0] = False
+        # What led astray may be the very biases and angles.
+        self._known[0] = stopped == kernel.STOPPED_GAP
+        self.counts[state.A_IMU, state.RESET] += 1
+        self._aligner.forget()
+        self._evaluation_ns[0] = 0
 
     # Aligning
 
@@ -234,13 +359,10 @@ class NavigationFilter:
         return before, row
 
     def _hand_aids_over(self, boundary: int) -> None:
-        parts, rest = [], []
-        for times, rows in (self._waiting.gnss, self._waiting.magnetic_b_ut, self._waiting.speed):
-            cut = int(np.searchsorted(times, boundary))
-            parts.append((times[:cut], rows[:cut]))
-            rest.append((times[cut:], rows[cut:]))
-        self._aligner.add_aids(*parts)
-        self._waiting = Aids(*rest)
+        before = (self._pending.t_ns < boundary) & (self._pending.from_ns <= boundary)
+        own = self._pending.take(before)
+        self._pending = self._pending.take(~before)
+        self._aligner.add_aids(own.of(state.K_GNSS), own.of(state.K_MAGNETIC), own.of(state.K_SPEED))
 
     def _aligning_row(self, boundary: int) -> Track:
         """Where GNSS alone puts the vehicle, for those who watch while the filter aligns."""
@@ -271,11 +393,11 @@ class NavigationFilter:
         x[state.X_LAT], x[state.X_LON], x[state.X_ALT] = found.lat_rad, found.lon_rad, found.alt_m
         x[state.X_DV : state.X_DV + 3] = 0.0
         x[state.X_BLOCK : state.X_STILL_F] = 0.0
-        self.ti[:] = 0
-        self.ti[state.T_NOW] = self.ti[state.T_COV] = self.ti[state.T_GNSS] = found.t_ns - 1
+        x[state.X_GNSS_ERROR : state.NX] = 0.0
+        self.ti[: state.I_COUNTS] = 0
+        self.ti[state.T_NOW] = self.ti[state.T_COV] = self.ti[state.T_GNSS] = self.ti[state.T_DECAY] = found.t_ns - 1
         # The first sample at or after the second opens every grid.
         self.ti[state.T_NEXT_BLOCK] = self.ti[state.T_NEXT_CONSTRAINT] = self.ti[state.T_NEXT_OUTPUT] = found.t_ns
-        self.ring[:] = 0.0
         start_frame(x, self.ti)
         x[state.X_C0 : state.X_C0 + 9] = matrix_from_quaternion(x[state.X_Q : state.X_Q + 4]).reshape(9)
 
@@ -289,13 +411,26 @@ class NavigationFilter:
         sd[state.SPEED_SCALE] = t.speed_scale_sd
         mount = t.mount_angle_sd_rad if self.config.mount_angle_sd_rad is None else self.config.mount_angle_sd_rad
         sd[state.MOUNT_PITCH] = sd[state.MOUNT_YAW] = mount
+        sd[state.GNSS_DELAY] = t.gnss_delay_given_sd_s if self.config.gnss_time_offset_s else t.gnss_delay_sd_s
+        sd[state.BARO_BIAS] = t.baro_bias_sd_m
+        sd[state.AXLE_LEVER] = t.axle_lever_sd_m
+        x[state.X_WHITE_SHARE] = t.gnss_white_share
+        x[state.X_WHITE_FIXES] = WHITE_SHARE_FIXES
+        # The position is a fix: what of that fix is slow error is the position's as well, with its sign turned.
+        slow = max(0.0, 1.0 - t.gnss_white_share - t.gnss_share_margin)
+        x[state.X_SLOW_VAR : state.X_SLOW_VAR + 2] = slow * np.square(found.position_sd_m)
+        errors = slice(state.GNSS_ERROR, state.GNSS_ERROR + 3)
+        sd[errors] = np.sqrt(slow) * sd[state.POS : state.POS + 3]
         p = np.diag(sd * sd)
+        places = np.arange(3)
+        p[state.POS + places, state.GNSS_ERROR + places] = -(sd[errors] ** 2)
+        p[state.GNSS_ERROR + places, state.POS + places] = -(sd[errors] ** 2)
         x[state.X_BG : state.X_BG + 3] = found.gyro_bias_radps
         if kept is None:
             x[state.X_BA : state.X_BA + 3] = 0.0
             x[state.X_SCALE] = x[state.X_MOUNT_PITCH] = x[state.X_MOUNT_YAW] = 0.0
         else:
-            for group in (state.ACCEL_BIAS, state.ACCEL_BIAS + 1, state.ACCEL_BIAS + 2, *range(state.SPEED_SCALE, n)):
+            for group in KEPT_STATES:
                 p[group, group] = kept[group, group]
             before = np.diag(kept)[state.GYRO_BIAS : state.GYRO_BIAS + 3]
             if before.max() < found.gyro_bias_sd_radps**2:
@@ -306,37 +441,73 @@ class NavigationFilter:
         self.p[:] = p.reshape(-1)
         self._aligned[0] = True
         self._aligner.forget()
+        self._recent.begin(x, self.ti, self.p)
+        if self.recorder is not None:
+            self.recorder.starts_ns.append(found.t_ns)
 
     # Snapshots
 
     def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
         """The whole state by name."""
-        own: dict[str, npt.NDArray[np.generic]] = {
-            name: getattr(self, name)
-            for name in ("x", "ti", "p", "ring", "counts", "_aligned", "_known", "_evaluation_ns", "_newest_aid_ns")
-        }
-        for name in ("gnss", "magnetic_b_ut", "speed"):
-            own[f"waiting.{name}.t"], own[f"waiting.{name}.rows"] = getattr(self._waiting, name)
+        own: dict[str, npt.NDArray[np.generic]] = {name: getattr(self, name) for name in _ARRAYS}
+        own["pending.t_ns"], own["pending.from_ns"] = self._pending.t_ns, self._pending.from_ns
+        own["pending.rows"] = self._pending.rows
         own.update({f"aligner.{name}": value for name, value in self._aligner.arrays().items()})
+        own.update({f"recent.{name}": value for name, value in self._recent.arrays().items()})
         return own
 
     def load(self, arrays: dict[str, npt.NDArray[np.generic]]) -> None:
         """Take over what ``arrays`` gave."""
-        for name in ("x", "ti", "p", "ring", "counts", "_aligned", "_known", "_evaluation_ns", "_newest_aid_ns"):
+        for name in _ARRAYS:
             setattr(self, name, arrays[name])
-        self._waiting = Aids(
-            *((arrays[f"waiting.{n}.t"], arrays[f"waiting.{n}.rows"]) for n in ("gnss", "magnetic_b_ut", "speed"))  # type: ignore[arg-type]
-        )
-        prefix = "aligner."
-        self._aligner.load({k[len(prefix) :]: v for k, v in arrays.items() if k.startswith(prefix)})
+        self._pending = Pending(*(arrays[f"pending.{name}"] for name in ("t_ns", "from_ns", "rows")))  # type: ignore[arg-type]
+        for part, stage in (("aligner.", self._aligner), ("recent.", self._recent)):
+            stage.load({k[len(part) :]: v for k, v in arrays.items() if k.startswith(part)})
+
+
+_ARRAYS: Final = ("x", "ti", "p", "_aligned", "_known", "_evaluation_ns", "_newest_aid_ns", "_used_aid_ns")
+
+WHITE_SHARE_FIXES: Final = 10.0
+"""How many fixes the share of white error assumed at the start is worth."""
+
+KEPT_STATES: Final = (
+    *range(state.ACCEL_BIAS, state.ACCEL_BIAS + 3),
+    state.SPEED_SCALE,
+    state.MOUNT_PITCH,
+    state.MOUNT_YAW,
+    state.GNSS_DELAY,
+    state.AXLE_LEVER,
+)
+"""What a gap does not change, besides the gyroscopes' biases."""
+
+
+def _table(rows: int, columns: int) -> tuple[TimeArray, FloatArray]:
+    return np.empty(rows, np.int64), np.empty((rows, columns))
 
 
 def _no_track() -> Track:
-    return Track(np.empty(0, np.int64), _empty_rows(len(TRACK_COLUMNS)))
+    return Track(*_table(0, len(TRACK_COLUMNS)))
 
 
-def _no_aids() -> tuple[Series, Series, Series]:
-    def none() -> TimeArray:
-        return np.empty(0, np.int64)
+def _no_records() -> AidRecords:
+    return AidRecords(*_table(0, len(RECORD_COLUMNS)))
 
-    return (none(), _empty_rows(len(GNSS))), (none(), _empty_rows(3)), (none(), np.empty(0))
+
+def _no_nodes() -> tuple[TimeArray, FloatArray]:
+    return _table(0, NODE_WIDTH)
+
+
+def _joined_rows(parts: list[Track]) -> Track:
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        return _no_track()
+    return Track(np.concatenate([one.t_ns for one in parts]), np.concatenate([one.values for one in parts]))
+
+
+def _joined_records(parts: list[AidRecords]) -> AidRecords:
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        return _no_records()
+    return AidRecords(np.concatenate([one.t_ns for one in parts]), np.concatenate([one.values for one in parts]))

@@ -1,6 +1,7 @@
-"""Filter algebra on a flat, row-major covariance: scalar measurement update and housekeeping.
+"""Filter algebra on a flat, row-major covariance: scalar and paired measurement updates and housekeeping.
 
-Rows are contiguous and the size comes at run time, which lets the compiler vectorise the inner loops.
+Rows are contiguous and the size comes at run time, which lets the compiler vectorise the inner loops. A row H is
+given by the states that it touches and its factors there.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ from numba import njit
 
 from core.measurements import FloatArray
 
-Groups = tuple[int, int, int]
-Row = tuple[float, float, float, float, float, float, float, float, float]
+Six = tuple[float, float, float, float, float, float]
+Nine = tuple[float, float, float, float, float, float, float, float, float]
+SixStates = tuple[int, int, int, int, int, int]
+NineStates = tuple[int, int, int, int, int, int, int, int, int]
 
 
 @njit(cache=True, nogil=True)
@@ -23,30 +26,45 @@ def project_axis(p: FloatArray, n: int, i: int, ph: FloatArray) -> float:
 
 
 @njit(cache=True, nogil=True)
-def project(p: FloatArray, n: int, first: Groups, h: Row, ph: FloatArray) -> float:
-    """P H' into ``ph`` (n,) for a row H of three groups of three states; returns H P H'.
-
-    Group k starts at state ``first[k]`` and has the factors ``h[3k : 3k + 3]``.
-    """
-    h0, h1, h2, h3, h4, h5, h6, h7, h8 = h
-    a, b, c = first[0] * n, first[1] * n, first[2] * n
+def project_six(p: FloatArray, n: int, at: SixStates, h: Six, ph: FloatArray) -> float:
+    """P H' into ``ph`` (n,) for a row H with the factors ``h`` at the states ``at``; returns H P H'."""
+    h0, h1, h2, h3, h4, h5 = h
+    a, b, c, d, e, f = at[0] * n, at[1] * n, at[2] * n, at[3] * n, at[4] * n, at[5] * n
     for j in range(n):
-        ph[j] = (
-            (h0 * p[a + j] + h1 * p[a + n + j] + h2 * p[a + 2 * n + j])
-            + (h3 * p[b + j] + h4 * p[b + n + j] + h5 * p[b + 2 * n + j])
-            + (h6 * p[c + j] + h7 * p[c + n + j] + h8 * p[c + 2 * n + j])
-        )
-    return along(first, h, ph)
+        ph[j] = (h0 * p[a + j] + h1 * p[b + j] + h2 * p[c + j]) + (h3 * p[d + j] + h4 * p[e + j] + h5 * p[f + j])
+    return along_six(at, h, ph)
 
 
 @njit(cache=True, nogil=True)
-def along(first: Groups, h: Row, v: FloatArray) -> float:
-    """H v for a row H as in ``project`` and a vector (n,)."""
-    i, j, k = first
+def along_six(at: SixStates, h: Six, v: FloatArray) -> float:
+    """H v for a row H as in ``project_six`` and a vector (n,)."""
     return float(
-        (h[0] * v[i] + h[1] * v[i + 1] + h[2] * v[i + 2])
-        + (h[3] * v[j] + h[4] * v[j + 1] + h[5] * v[j + 2])
-        + (h[6] * v[k] + h[7] * v[k + 1] + h[8] * v[k + 2])
+        (h[0] * v[at[0]] + h[1] * v[at[1]] + h[2] * v[at[2]]) + (h[3] * v[at[3]] + h[4] * v[at[4]] + h[5] * v[at[5]])
+    )
+
+
+@njit(cache=True, nogil=True)
+def project_nine(p: FloatArray, n: int, at: NineStates, h: Nine, ph: FloatArray) -> float:
+    """As ``project_six``, for nine states."""
+    h0, h1, h2, h3, h4, h5, h6, h7, h8 = h
+    a, b, c, d, e = at[0] * n, at[1] * n, at[2] * n, at[3] * n, at[4] * n
+    f, g, i, k = at[5] * n, at[6] * n, at[7] * n, at[8] * n
+    for j in range(n):
+        ph[j] = (
+            (h0 * p[a + j] + h1 * p[b + j] + h2 * p[c + j])
+            + (h3 * p[d + j] + h4 * p[e + j] + h5 * p[f + j])
+            + (h6 * p[g + j] + h7 * p[i + j] + h8 * p[k + j])
+        )
+    return along_nine(at, h, ph)
+
+
+@njit(cache=True, nogil=True)
+def along_nine(at: NineStates, h: Nine, v: FloatArray) -> float:
+    """H v for a row H as in ``project_nine`` and a vector (n,)."""
+    return float(
+        (h[0] * v[at[0]] + h[1] * v[at[1]] + h[2] * v[at[2]])
+        + (h[3] * v[at[3]] + h[4] * v[at[4]] + h[5] * v[at[5]])
+        + (h[6] * v[at[6]] + h[7] * v[at[7]] + h[8] * v[at[8]])
     )
 
 
@@ -54,14 +72,47 @@ def along(first: Groups, h: Row, v: FloatArray) -> float:
 def update(p: FloatArray, n: int, ph: FloatArray, s: float, innovation: float, dx: FloatArray) -> None:
     """Fuse a scalar: ``ph`` = P H', ``s`` = H P H' + R, innovation = z - h(x) - H dx; ``dx`` (n,) takes it on."""
     gain = innovation / s
+    inverse = 1.0 / s
     for j in range(n):
         dx[j] += gain * ph[j]
-    inverse = 1.0 / s
     for i in range(n):
         k = ph[i] * inverse
         row = i * n
         for j in range(n):
             p[row + j] -= k * ph[j]
+
+
+@njit(cache=True, nogil=True)
+def decorrelate(n: int, first: FloatArray, second: FloatArray, share: float) -> None:
+    """Take from ``second`` = P H2' what an update by ``first`` = P H1' removes: share = H2 P H1' / s1."""
+    for j in range(n):
+        second[j] -= share * first[j]
+
+
+@njit(cache=True, nogil=True)
+def update_pair(
+    p: FloatArray,
+    n: int,
+    first: FloatArray,
+    inverse_first: float,
+    innovation_first: float,
+    second: FloatArray,
+    inverse_second: float,
+    innovation_second: float,
+    dx: FloatArray,
+) -> None:
+    """Two scalar updates in one pass over P; ``second`` and its innovation are free of the first (``decorrelate``).
+
+    ``inverse_first``, ``inverse_second`` are 1 / s, or 0 for one that is left out.
+    """
+    gain_first, gain_second = innovation_first * inverse_first, innovation_second * inverse_second
+    for j in range(n):
+        dx[j] += gain_first * first[j] + gain_second * second[j]
+    for i in range(n):
+        k1, k2 = first[i] * inverse_first, second[i] * inverse_second
+        row = i * n
+        for j in range(n):
+            p[row + j] -= k1 * first[j] + k2 * second[j]
 
 
 @njit(cache=True, nogil=True)

@@ -1,13 +1,16 @@
 """Layout of the filter's state: names of the error states and of the flat arrays that hold everything.
 
 The error is truth minus estimate. Position, velocity and attitude errors are in n; C_n_from_b(true) =
-(I + [phi x]) C_n_from_b(estimate). Fifteen navigation states are followed by three of the vehicle that
-make its constraints usable: the scale of the wheel speed and the pitch and yaw of the box in the car.
+(I + [phi x]) C_n_from_b(estimate). Fifteen navigation states are followed by what makes the aids usable: the
+scale of the wheel speed, the pitch and yaw of the box in the car, the receiver's error that hangs together in time
+and its delay, the barometer's bias, and how far the box sits before the rear axle.
 """
 
 from __future__ import annotations
 
 from typing import Final
+
+from core.measurements import GNSS_COLUMNS
 
 # Error states: first index of each group.
 POS: Final = 0
@@ -18,7 +21,11 @@ ACCEL_BIAS: Final = 12
 SPEED_SCALE: Final = 15
 MOUNT_PITCH: Final = 16
 MOUNT_YAW: Final = 17
-N_STATES: Final = 18
+GNSS_ERROR: Final = 18  # the fixes' error against the truth, n, slowly varying part
+GNSS_DELAY: Final = 21
+BARO_BIAS: Final = 22
+AXLE_LEVER: Final = 23
+N_STATES: Final = 24
 
 # The nominal state ``x``, float64.
 X_Q: Final = 0  # q_n_from_b, 4
@@ -46,7 +53,22 @@ X_STILL_F: Final = 56  # spread of the standing vehicle's block means as learnt,
 X_STILL_W: Final = 57  # the same of the rates, rad/s
 X_M_PER_RAD: Final = 58  # metres a radian of latitude, and of longitude, where the vehicle is, 2
 X_MOUNT_SC: Final = 60  # sine and cosine of the mounting's pitch, then of its yaw, 4
-NX: Final = 64
+X_GNSS_ERROR: Final = 64  # slowly varying error of the fixes in n, m, 3
+X_GNSS_DELAY: Final = 67  # a fix is of this long before its time, s
+X_BARO_BIAS: Final = 68  # barometric minus ellipsoidal height, m
+X_AXLE_LEVER: Final = 69  # the inertial sensor before the rear axle, m
+X_WHITE_SHARE: Final = 70  # variance of the fixes' white error over the stated one, as learnt
+X_WHITE_FIXES: Final = 71  # how many fixes it was learnt from, up to a limit
+X_SLOW_VAR: Final = 72  # variance of the slowly varying error at the last fix, horizontal and vertical, m2
+X_DECAY: Final = 74  # factor by which that error has shrunk at this instant, 1 without a fix
+X_DECAY_VAR: Final = 75  # variances that were added to it then, n, e, d, m2
+X_HEAVE: Final = 78  # spread of the vertical block means over the last second, m/s2
+X_FIELD: Final = 79  # magnitude of the magnetic field as learnt, uT; 0 before
+X_LAST_NU: Final = 80  # horizontal innovation of the last fix over its sd, 2
+X_ECHO: Final = 82  # mean product of successive innovations over their sd, as learnt
+X_RING: Final = 83  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
+N_BLOCKS: Final = 10
+NX: Final = X_RING + 6 * N_BLOCKS
 
 # Integer state ``ti``, int64: times in ns and counters.
 T_NOW: Final = 0
@@ -56,7 +78,6 @@ T_NEXT_BLOCK: Final = 3
 T_NEXT_CONSTRAINT: Final = 4
 T_NEXT_OUTPUT: Final = 5
 T_GNSS: Final = 6  # last position fused
-T_SPEED: Final = 7  # last wheel speed used
 T_REJECTED: Final = 8  # first of a run of refused positions that agree
 I_REJECTED: Final = 9  # length of that run, 0 if none
 I_RESETS: Final = 10  # position resets since the last fused position
@@ -66,13 +87,33 @@ I_GNSS_USED: Final = 13  # since the last output row
 I_STATIONARY: Final = 14
 T_REFUSED: Final = 15  # first of a run of refused positions, whether they agree or not
 I_REFUSED: Final = 16  # length of that run, 0 if none
-NT: Final = 17
-
-# Ring of closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3).
-N_BLOCKS: Final = 10
+T_DECAY: Final = 17  # slowly varying GNSS error is valid at
+I_RECORDS: Final = 18  # rows written in this call
+I_NODES: Final = 19  # likewise
+I_BROKEN: Final = 20  # the position was reset at this instant
+I_COUNTS: Final = 21  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
 
 # Aids and outcomes, the axes of the counters.
-AIDS: Final = ("imu", "gnss_position", "gnss_height", "gnss_velocity", "nhc", "zupt", "zaru", "speed", "magnetometer")
+AIDS: Final = (
+    "imu",
+    "gnss_position",
+    "gnss_height",
+    "gnss_velocity",
+    "nhc",
+    "zupt",
+    "zaru",
+    "speed",
+    "magnetometer",
+    "barometer",
+)
 OUTCOMES: Final = ("fused", "rejected_gate", "rejected_time", "rejected_range", "reset")
-A_IMU, A_POSITION, A_HEIGHT, A_VELOCITY, A_NHC, A_ZUPT, A_ZARU, A_SPEED, A_MAGNETOMETER = range(len(AIDS))
+(A_IMU, A_POSITION, A_HEIGHT, A_VELOCITY, A_NHC, A_ZUPT, A_ZARU, A_SPEED, A_MAGNETOMETER, A_BAROMETER) = range(
+    len(AIDS)
+)
 FUSED, REJECTED_GATE, REJECTED_TIME, REJECTED_RANGE, RESET = range(len(OUTCOMES))
+NT: Final = I_COUNTS + len(AIDS) * len(OUTCOMES)
+
+# Rows of aids, merged by time: the kind, then its values.
+K_GNSS, K_SPEED, K_MAGNETIC, K_BARO = range(4)
+AID_WIDTH: Final = 1 + len(GNSS_COLUMNS)
+"""A fix is the longest: its columns follow the kind. Speed: m/s; field: uT in b, 3; barometer: height, m."""

@@ -53,6 +53,27 @@ class Tuning(Tunables):
     gnss_height_factor: float = tunable(
         1.5, unit="1", low=1, high=5, source="vertical against horizontal, geometry of the sky"
     )
+    gnss_correlation_s: float = tunable(
+        60.0, unit="s", low=1, high=3600, source="multipath 10 s, ionosphere 600 s; " + _CHOICE
+    )
+    gnss_white_share: float = tunable(
+        0.5, unit="1", low=0, high=4, source="choice: before fixes tell; half of a stated variance is new each time"
+    )
+    gnss_learn_fixes: float = tunable(
+        60, unit="1", low=5, high=1e4, source="choice: the white share is then known to 13 %, of two axes"
+    )
+    gnss_share_margin: float = tunable(
+        0.15, unit="1", low=0, high=1, source="the spread of the learnt share, so that white fixes stay white"
+    )
+    gnss_white_floor: float = tunable(
+        0.02, unit="1", low=1e-3, high=1, source="code noise of a smoothed fix is at least a seventh of its error"
+    )
+    gnss_delay_sd_s: float = tunable(
+        0.05, unit="s", low=0, high=1, source="time stamps by the host instead of the receiver's pulse: 0-0.1 s"
+    )
+    gnss_delay_given_sd_s: float = tunable(
+        0.01, unit="s", low=0, high=1, source="choice: an offset that was measured and is set"
+    )
     gnss_sd_v_mps: float = tunable(
         0.15, unit="m/s", low=0.01, high=10, source="u-blox 7 data sheet 0.1 m/s, raised for city streets"
     )
@@ -63,6 +84,10 @@ class Tuning(Tunables):
     gnss_min_satellites: float = tunable(4, unit="1", low=0, high=20, source="a position needs four; seed 3")
     gnss_max_age_s: float = tunable(
         1.0, unit="s", low=0.01, high=10, source="a fix older than the newest sample by more cannot be compared"
+    )
+
+    late_s: float = tunable(
+        2.0, unit="s", low=0, high=2.5, source="receivers and buses deliver a fix within two seconds"
     )
 
     gate_position: float = tunable(13.82, unit="1", low=4, high=1e4, source="chi-squared, 2 degrees of freedom, 99.9 %")
@@ -94,8 +119,17 @@ class Tuning(Tunables):
     nhc_sd_mps: float = tunable(
         0.25, unit="m/s", low=0.01, high=5, source="lateral slip and suspension of a car; " + _CHOICE
     )
-    nhc_lever_m: float = tunable(
-        1.5, unit="m", low=0, high=10, source="box to rear axle when unknown: lateral speed is yaw rate times this"
+    nhc_slip_m: float = tunable(
+        0.3, unit="m", low=0, high=10, source="choice: tyres slip sideways in a turn, as if the rear axle moved by this"
+    )
+    heave_radps: float = tunable(
+        8.0, unit="rad/s", low=1, high=50, source="body on its springs at 1.3 Hz: speed is acceleration over this"
+    )
+    squat_rad_per_mps2: float = tunable(
+        0.004, unit="rad s2/m", low=0, high=0.05, source="a car pitches by 2 to 3 deg a g of braking"
+    )
+    axle_lever_sd_m: float = tunable(
+        1.5, unit="m", low=0, high=10, source="box between rear seat and bumper, the rear axle's place unknown"
     )
     nhc_min_speed_mps: float = tunable(1.0, unit="m/s", low=0, high=10, source=_CHOICE)
     constraint_interval_s: float = tunable(0.2, unit="s", low=0.05, high=5, source="5 Hz, as the design measured")
@@ -104,6 +138,24 @@ class Tuning(Tunables):
         4.0, unit="1", low=0, high=20, source="choice: logarithm of 50, a car goes backwards 2 % of its time"
     )
     speed_interval_s: float = tunable(0.18, unit="s", low=0, high=5, source="faster samples carry the same errors")
+
+    magnetic_sd_rad: float = tunable(
+        0.35, unit="rad", low=0.01, high=1.5, source="20 deg: iron of the car and declination not corrected"
+    )
+    magnetic_correlation_s: float = tunable(
+        120.0, unit="s", low=0, high=3600, source="choice: the car's iron errs the same way until it has turned"
+    )
+    magnetic_interval_s: float = tunable(1.0, unit="s", low=0.01, high=60, source="faster samples say the same")
+    baro_sd_m: float = tunable(
+        1.0, unit="m", low=0.05, high=20, source="fan, windows and the wind of driving: 10 Pa are 0.85 m"
+    )
+    baro_bias_sd_m: float = tunable(
+        150.0, unit="m", low=1, high=1000, source="weather within 20 hPa of standard, 170 m; geoid within 100 m"
+    )
+    baro_bias_walk_m_rts: float = tunable(
+        0.03, unit="m/sqrt(s)", low=0, high=1, source="weather changes by 0.2 to 1 hPa an hour"
+    )
+    baro_interval_s: float = tunable(1.0, unit="s", low=0.01, high=60, source="faster samples carry the same errors")
 
     zupt_sd_mps: float = tunable(0.03, unit="m/s", low=1e-3, high=1, source="rocking of a standing car")
     zaru_sd_radps: float = tunable(

@@ -29,8 +29,11 @@ def session_config(config: VehicleConfig) -> SessionConfig:
         gyroscope=_triad(None if calibration is None else calibration.gyroscope),
         mounting=_mounting(config.mounting_rpy_deg),
         accel_full_scale_mps2=math.nan if full_scale_mps2 is None else full_scale_mps2,
-        gnss_time_offset_s=config.gnss_time_offset_s,
-        filter=FilterConfig(imu_lever_b_m=config.imu_lever_arm_m, antenna_lever_b_m=config.gnss_lever_arm_m),
+        filter=FilterConfig(
+            imu_lever_b_m=config.imu_lever_arm_m,
+            antenna_lever_b_m=config.gnss_lever_arm_m,
+            gnss_time_offset_s=config.gnss_time_offset_s,
+        ),
         detector=config.detector,
     )
 

@@ -1,0 +1,100 @@
+"""What a smoother needs of each instant at which the filter propagated its covariance: one row of a table.
+
+A row holds the interval that ends there (the parts of Phi and Q), the nominal state as mechanised up to it and as
+the aids left it, and the covariance after them.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from numba import njit
+
+from core.measurements import FloatArray, TimeArray
+from core.navigation.kalman import Nine
+from core.navigation.state import (
+    I_BROKEN,
+    N_STATES,
+    X_ALT,
+    X_AXLE_LEVER,
+    X_BARO_BIAS,
+    X_BG,
+    X_DECAY,
+    X_DECAY_VAR,
+    X_DR,
+    X_GNSS_DELAY,
+    X_GNSS_ERROR,
+    X_LAT,
+    X_LON,
+    X_M_PER_RAD,
+    X_MOUNT_YAW,
+    X_Q,
+    X_V,
+)
+
+# The nominal state in a row.
+S_Q: Final = 0  # q_n_from_b, 4
+S_V: Final = 4  # v_n, 3
+S_LAT: Final = 7  # rad, rad, m, 3
+S_SLOW: Final = 10  # the slow states in the order of the error states from GYRO_BIAS on, 15
+N_NOMINAL: Final = 25
+
+# A row.
+N_DT: Final = 0  # s since the row before
+N_DV: Final = 1  # integral of the specific force in n, 3
+N_C: Final = 4  # mean C_n_from_b, 9
+N_ADDED: Final = 13  # variances that the interval added, N_STATES
+N_DECAY: Final = N_ADDED + N_STATES  # factor on the fixes' slow error
+N_DECAY_VAR: Final = N_DECAY + 1  # variances that were added to it, 3
+N_BROKEN: Final = N_DECAY_VAR + 3  # 1 if the position was reset here
+N_BEFORE: Final = N_BROKEN + 1
+N_AFTER: Final = N_BEFORE + N_NOMINAL
+N_P: Final = N_AFTER + N_NOMINAL  # upper triangle of the covariance, by rows
+NODE_WIDTH: Final = N_P + N_STATES * (N_STATES + 1) // 2
+
+
+@njit(cache=True, nogil=True)
+def _put_nominal(x: FloatArray, row: FloatArray, at: int) -> None:
+    for i in range(4):
+        row[at + S_Q + i] = x[X_Q + i]
+    for i in range(3):
+        row[at + S_V + i] = x[X_V + i]
+    row[at + S_LAT] = x[X_LAT] + x[X_DR] / x[X_M_PER_RAD]
+    row[at + S_LAT + 1] = x[X_LON] + x[X_DR + 1] / x[X_M_PER_RAD + 1]
+    row[at + S_LAT + 2] = x[X_ALT] - x[X_DR + 2]
+    slow = at + S_SLOW
+    for i in range(X_MOUNT_YAW + 1 - X_BG):
+        row[slow + i] = x[X_BG + i]
+    slow += X_MOUNT_YAW + 1 - X_BG
+    for i in range(3):
+        row[slow + i] = x[X_GNSS_ERROR + i]
+    row[slow + 3], row[slow + 4], row[slow + 5] = x[X_GNSS_DELAY], x[X_BARO_BIAS], x[X_AXLE_LEVER]
+
+
+@njit(cache=True, nogil=True)
+def open_node(
+    x: FloatArray, row: FloatArray, dt: float, dv: tuple[float, float, float], c: Nine, added: FloatArray
+) -> None:
+    """Write the interval and the state before any aid."""
+    row[N_DT] = dt
+    row[N_DV], row[N_DV + 1], row[N_DV + 2] = dv
+    for i in range(9):
+        row[N_C + i] = c[i]
+    for i in range(N_STATES):
+        row[N_ADDED + i] = added[i]
+    _put_nominal(x, row, N_BEFORE)
+
+
+@njit(cache=True, nogil=True)
+def close_node(x: FloatArray, ti: TimeArray, p: FloatArray, row: FloatArray) -> None:
+    """Write the state and the covariance as the aids left them."""
+    row[N_DECAY] = x[X_DECAY]
+    for i in range(3):
+        row[N_DECAY_VAR + i] = x[X_DECAY_VAR + i]
+    row[N_BROKEN] = ti[I_BROKEN]
+    _put_nominal(x, row, N_AFTER)
+    at = N_P
+    for i in range(N_STATES):
+        for j in range(i, N_STATES):
+            row[at] = p[i * N_STATES + j]
+            at += 1

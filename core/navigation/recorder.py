@@ -1,0 +1,62 @@
+"""What post-processing keeps of a drive while the filter folds it: nodes for a smoother, and records of the aids."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from core.measurements import FloatArray, TimeArray
+from core.navigation.nodes import NODE_WIDTH
+from core.navigation.records import RECORD_COLUMNS, AidRecords
+from core.navigation.track import TRACK_COLUMNS, Track
+
+Table = list[tuple[TimeArray, FloatArray]]
+
+
+@dataclass(slots=True, eq=False)
+class Recorder:
+    """Tables that grow by each fold. ``cut`` takes back what is folded anew for an aid that came late.
+
+    ``track`` then holds the rows as they were in the end, not as they were told.
+    """
+
+    nodes: Table = field(default_factory=list)
+    rows: Table = field(default_factory=list)
+    records: Table = field(default_factory=list)
+    starts_ns: list[int] = field(default_factory=list)
+    """When the filter aligned: nothing after flows back to before."""
+
+    def add(self, nodes: tuple[TimeArray, FloatArray], rows: Track, records: AidRecords) -> None:
+        """What one fold brought."""
+        self.nodes.append((nodes[0].copy(), nodes[1].copy()))
+        self.rows.append((rows.t_ns, rows.values))
+        self.records.append((records.t_ns, records.values))
+
+    def cut(self, t_ns: int) -> None:
+        """Take back nodes and rows after ``t_ns``; records of those times stay until they are written again."""
+        for table in (self.nodes, self.rows, self.records):
+            while table and len(table[-1][0]) and table[-1][0][0] > t_ns:
+                table.pop()
+            if table:
+                times, values = table[-1]
+                kept = times <= t_ns
+                table[-1] = times[kept], values[kept]
+
+    def track(self) -> Track:
+        """Rows of the whole drive."""
+        return Track(*_joined(self.rows, len(TRACK_COLUMNS)))
+
+    def aid_records(self) -> AidRecords:
+        """Records of the whole drive."""
+        return AidRecords(*_joined(self.records, len(RECORD_COLUMNS)))
+
+    def node_table(self) -> tuple[TimeArray, FloatArray]:
+        """Nodes of the whole drive, (k,) and (k, NODE_WIDTH)."""
+        return _joined(self.nodes, NODE_WIDTH)
+
+
+def _joined(table: Table, width: int) -> tuple[TimeArray, FloatArray]:
+    if not table:
+        return np.empty(0, np.int64), np.empty((0, width))
+    return np.concatenate([t for t, _ in table]), np.concatenate([values for _, values in table])

@@ -1,0 +1,133 @@
+"""Whether the vehicle stands: a statistical test over one second of block means, not a speed threshold alone."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from core.earth import STANDARD_GRAVITY_MPS2
+from core.measurements import FloatArray, TimeArray
+from core.navigation.mechanization import matrix_of
+from core.navigation.state import (
+    ATT,
+    GYRO_BIAS,
+    I_BLOCK,
+    I_BLOCKS,
+    I_STATIONARY,
+    N_BLOCKS,
+    N_STATES,
+    VEL,
+    X_BA,
+    X_BG,
+    X_BLOCK,
+    X_HEAVE,
+    X_Q,
+    X_RING,
+    X_STILL_F,
+    X_STILL_W,
+    X_V,
+)
+from core.navigation.tuning import PARAMETER
+
+LEARN_SHARE = 0.05
+"""Share by which the level of a standing vehicle's spread follows each block: some 2 s."""
+
+_STILL_ACCEL = PARAMETER["still_accel_sd_mps2"]
+_STILL_GYRO = PARAMETER["still_gyro_sd_radps"]
+_STILL_FACTOR = PARAMETER["still_factor"]
+_STILL_MEAN = PARAMETER["still_mean_accel_mps2"]
+_STILL_RATE = PARAMETER["still_mean_gyro_radps"]
+_STILL_SPEED = PARAMETER["still_max_speed_mps"]
+
+
+@njit(cache=True, nogil=True)
+def _variance(x: FloatArray, i: int) -> float:
+    """Variance of one axis over the ring's block means."""
+    total, squares = 0.0, 0.0
+    first = x[X_RING + i]
+    for j in range(N_BLOCKS):
+        d = x[X_RING + 6 * j + i] - first
+        total += d
+        squares += d * d
+    return max(squares / N_BLOCKS - (total / N_BLOCKS) ** 2, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) -> None:
+    """Put the open block's means into the ring and decide whether the vehicle stands.
+
+    Standing: over one second the 0.1 s means hardly move (block means hide the engine's shaking, not the
+    road's), and the filter does not hold a speed well above its own uncertainty.
+    """
+    count = ti[I_BLOCK]
+    if count == 0:
+        ti[I_BLOCKS] = 0
+        ti[I_STATIONARY] = 0
+        return
+    row = X_RING + (ti[I_BLOCKS] % N_BLOCKS) * 6
+    for i in range(6):
+        x[row + i] = x[X_BLOCK + i] / count
+        x[X_BLOCK + i] = 0.0
+    ti[I_BLOCK] = 0
+    ti[I_BLOCKS] += 1
+    ti[I_STATIONARY] = 0
+    if ti[I_BLOCKS] < N_BLOCKS:
+        return
+    x[X_HEAVE] = math.sqrt(_variance(x, 2))
+    i0 = VEL * N_STATES + VEL
+    speed_sd = math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
+    limit = par[_STILL_SPEED] + 3.0 * speed_sd
+    if x[X_V] ** 2 + x[X_V + 1] ** 2 > limit * limit:
+        return
+    spread_f, spread_w = 0.0, 0.0
+    mean_0, mean_1, mean_2, turning_sq, rate_var = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(6):
+        total, squares = 0.0, 0.0
+        first = x[X_RING + i]
+        for j in range(N_BLOCKS):
+            d = x[X_RING + 6 * j + i] - first
+            total += d
+            squares += d * d
+        variance = squares / N_BLOCKS - (total / N_BLOCKS) ** 2
+        if i == 0:
+            mean_0 = first + total / N_BLOCKS
+        elif i == 1:
+            mean_1 = first + total / N_BLOCKS
+        elif i == 2:
+            mean_2 = first + total / N_BLOCKS
+        if i < 3:
+            spread_f += variance
+        else:
+            spread_w += variance
+            turning_sq += (first + total / N_BLOCKS - x[X_BG + i - 3]) ** 2
+            i0 = (GYRO_BIAS + i - 3) * N_STATES + GYRO_BIAS + i - 3
+            rate_var = max(rate_var, p[i0])
+    # A bend driven evenly is as quiet as standing, but for its rate.
+    limit = par[_STILL_RATE] + 3.0 * math.sqrt(rate_var)
+    if turning_sq > limit * limit:
+        return
+    if spread_f > par[_STILL_ACCEL] ** 2 or spread_w > par[_STILL_GYRO] ** 2:
+        return
+    spread_f, spread_w = math.sqrt(spread_f), math.sqrt(spread_w)
+    # Where the filter's own speed is no witness, it has to be as quiet as this vehicle is when it stands.
+    uncertain = speed_sd > par[_STILL_SPEED]
+    if uncertain and x[X_STILL_F] > 0.0:
+        factor = par[_STILL_FACTOR]
+        if spread_f > factor * x[X_STILL_F] or spread_w > factor * x[X_STILL_W]:
+            return
+    # Pulling away evenly is smooth too: what gravity and bias leave must be nothing.
+    mean = (mean_0 - x[X_BA], mean_1 - x[X_BA + 1], mean_2 - x[X_BA + 2])
+    c0, c1, c2, c3, c4, c5, _, _, _ = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
+    an = c0 * mean[0] + c1 * mean[1] + c2 * mean[2]
+    ae = c3 * mean[0] + c4 * mean[1] + c5 * mean[2]
+    i0 = ATT * N_STATES + ATT
+    tilt = math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
+    limit = par[_STILL_MEAN] + 3.0 * STANDARD_GRAVITY_MPS2 * tilt
+    if an * an + ae * ae > limit * limit:
+        return
+    ti[I_STATIONARY] = 1
+    if not uncertain:
+        share = LEARN_SHARE if x[X_STILL_F] > 0.0 else 1.0
+        x[X_STILL_F] += share * (spread_f - x[X_STILL_F])
+        x[X_STILL_W] += share * (spread_w - x[X_STILL_W])

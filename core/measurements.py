@@ -63,6 +63,8 @@ class Measurements:
         Magnetic field in sensor axes, microtesla.
     speed_t_ns, speed_mps : (l,) int64, (l,) float64
         Wheel or CAN speed, m/s.
+    barometer_t_ns, pressure_pa : (b,) int64, (b,) float64
+        Air pressure at the box, Pa.
     temperature_c : float
         Temperature of the box, NaN if unknown.
     ignition : bool or None
@@ -82,6 +84,8 @@ class Measurements:
     magnetic_s_ut: FloatArray = field(default_factory=lambda: _no_rows(3))
     speed_t_ns: TimeArray = field(default_factory=_no_times)
     speed_mps: FloatArray = field(default_factory=lambda: np.empty(0))
+    barometer_t_ns: TimeArray = field(default_factory=_no_times)
+    pressure_pa: FloatArray = field(default_factory=lambda: np.empty(0))
     temperature_c: float = float("nan")
     accel_full_scale_mps2: float = float("nan")
     ignition: bool | None = None
@@ -94,7 +98,7 @@ class Measurements:
             return slice(*(int(i) for i in np.searchsorted(t_ns, [low_ns, high_ns])))
 
         imu, gnss = cut(self.imu_t_ns), cut(self.gnss_t_ns)
-        magnetic, speed = cut(self.magnetometer_t_ns), cut(self.speed_t_ns)
+        magnetic, speed, barometer = cut(self.magnetometer_t_ns), cut(self.speed_t_ns), cut(self.barometer_t_ns)
         return replace(
             self,
             imu_t_ns=self.imu_t_ns[imu],
@@ -106,4 +110,6 @@ class Measurements:
             magnetic_s_ut=self.magnetic_s_ut[magnetic],
             speed_t_ns=self.speed_t_ns[speed],
             speed_mps=self.speed_mps[speed],
+            barometer_t_ns=self.barometer_t_ns[barometer],
+            pressure_pa=self.pressure_pa[barometer],
         )

@@ -13,7 +13,7 @@ from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 
 from core.measurements import GNSS, GNSS_COLUMNS, FloatArray, Measurements, TimeArray
-from schemas.telemetry_pb2 import FixType, GnssFix, Imu, Magnetometer, TelemetryPacket, WheelSpeed
+from schemas.telemetry_pb2 import AirPressure, FixType, GnssFix, Imu, Magnetometer, TelemetryPacket, WheelSpeed
 
 _COUNT: Final = np.dtype("<i2")
 _FLOAT: Final = np.dtype("<f4")
@@ -104,6 +104,8 @@ def measurements_from_packet(packet: TelemetryPacket) -> Measurements:
         magnetic_s_ut=magnetic_s_ut,
         speed_t_ns=_times("wheel_speed", start_t_ns, packet.wheel_speed),
         speed_mps=np.array([speed.speed_mmps for speed in packet.wheel_speed], dtype=np.float64) * _M_PER_MM,
+        barometer_t_ns=_times("barometer", start_t_ns, packet.barometer),
+        pressure_pa=np.array([air.pressure_pa for air in packet.barometer], dtype=np.float64),
         temperature_c=packet.temperature_c if packet.HasField("temperature_c") else math.nan,
         accel_full_scale_mps2=full_scale_mps2,
         ignition=packet.ignition if packet.HasField("ignition") else None,
@@ -159,6 +161,9 @@ def encode_packet(
         _finite("wheel_speed", m.speed_mps)
         for t_ns, speed_mps in zip(m.speed_t_ns.tolist(), m.speed_mps.tolist(), strict=True):
             packet.wheel_speed.add(offset_ns=t_ns - start_t_ns, speed_mmps=round(speed_mps / _M_PER_MM))
+        _finite("barometer", m.pressure_pa)
+        for t_ns, pressure_pa in zip(m.barometer_t_ns.tolist(), m.pressure_pa.tolist(), strict=True):
+            packet.barometer.add(offset_ns=t_ns - start_t_ns, pressure_pa=pressure_pa)
         if not math.isnan(m.temperature_c):
             packet.temperature_c = m.temperature_c
         if m.ignition is not None:
@@ -301,7 +306,7 @@ def _block_times(where: str, block: Imu | Magnetometer, start_t_ns: int, offset_
     return first_t_ns + block.period_ns * np.arange(count, dtype=np.int64)
 
 
-def _times(where: str, start_t_ns: int, series: Iterable[GnssFix | WheelSpeed]) -> TimeArray:
+def _times(where: str, start_t_ns: int, series: Iterable[GnssFix | WheelSpeed | AirPressure]) -> TimeArray:
     times = [start_t_ns + item.offset_ns for item in series]
     for t_ns in times:
         _check_time(where, t_ns)
@@ -344,7 +349,8 @@ def _gnss_fix(offset_ns: int, row: list[float]) -> GnssFix:
 def _start_t_ns(m: Measurements) -> int:
     if len(m.imu_t_ns):
         return int(m.imu_t_ns[0])
-    firsts = [int(times[0]) for times in (m.gnss_t_ns, m.magnetometer_t_ns, m.speed_t_ns) if len(times)]
+    slow = (m.gnss_t_ns, m.magnetometer_t_ns, m.speed_t_ns, m.barometer_t_ns)
+    firsts = [int(times[0]) for times in slow if len(times)]
     if not firsts:
         raise PacketError("empty", "nothing was measured: a packet needs at least one sample to have a time")
     return min(firsts)

@@ -19,7 +19,7 @@ FIX_TYPE_2D: FixType
 FIX_TYPE_3D: FixType
 
 class TelemetryPacket(_message.Message):
-    __slots__ = ("vehicle_id", "sequence", "boot_id", "start_time_ns", "imu", "gnss", "magnetometer", "wheel_speed", "temperature_c", "ignition", "flags")
+    __slots__ = ("vehicle_id", "sequence", "boot_id", "start_time_ns", "imu", "gnss", "magnetometer", "wheel_speed", "temperature_c", "ignition", "flags", "barometer")
     VEHICLE_ID_FIELD_NUMBER: _ClassVar[int]
     SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     BOOT_ID_FIELD_NUMBER: _ClassVar[int]
@@ -31,6 +31,7 @@ class TelemetryPacket(_message.Message):
     TEMPERATURE_C_FIELD_NUMBER: _ClassVar[int]
     IGNITION_FIELD_NUMBER: _ClassVar[int]
     FLAGS_FIELD_NUMBER: _ClassVar[int]
+    BAROMETER_FIELD_NUMBER: _ClassVar[int]
     vehicle_id: str
     sequence: int
     boot_id: str
@@ -42,7 +43,8 @@ class TelemetryPacket(_message.Message):
     temperature_c: float
     ignition: bool
     flags: int
-    def __init__(self, vehicle_id: _Optional[str] = ..., sequence: _Optional[int] = ..., boot_id: _Optional[str] = ..., start_time_ns: _Optional[int] = ..., imu: _Optional[_Union[Imu, _Mapping]] = ..., gnss: _Optional[_Iterable[_Union[GnssFix, _Mapping]]] = ..., magnetometer: _Optional[_Union[Magnetometer, _Mapping]] = ..., wheel_speed: _Optional[_Iterable[_Union[WheelSpeed, _Mapping]]] = ..., temperature_c: _Optional[float] = ..., ignition: _Optional[bool] = ..., flags: _Optional[int] = ...) -> None: ...
+    barometer: _containers.RepeatedCompositeFieldContainer[AirPressure]
+    def __init__(self, vehicle_id: _Optional[str] = ..., sequence: _Optional[int] = ..., boot_id: _Optional[str] = ..., start_time_ns: _Optional[int] = ..., imu: _Optional[_Union[Imu, _Mapping]] = ..., gnss: _Optional[_Iterable[_Union[GnssFix, _Mapping]]] = ..., magnetometer: _Optional[_Union[Magnetometer, _Mapping]] = ..., wheel_speed: _Optional[_Iterable[_Union[WheelSpeed, _Mapping]]] = ..., temperature_c: _Optional[float] = ..., ignition: _Optional[bool] = ..., flags: _Optional[int] = ..., barometer: _Optional[_Iterable[_Union[AirPressure, _Mapping]]] = ...) -> None: ...
 
 class Imu(_message.Message):
     __slots__ = ("period_ns", "accel_scale_mps2", "gyro_scale_radps", "samples", "samples_f32", "offsets_ns", "accel_full_scale_mps2")
@@ -121,3 +123,11 @@ class WheelSpeed(_message.Message):
     offset_ns: int
     speed_mmps: int
     def __init__(self, offset_ns: _Optional[int] = ..., speed_mmps: _Optional[int] = ...) -> None: ...
+
+class AirPressure(_message.Message):
+    __slots__ = ("offset_ns", "pressure_pa")
+    OFFSET_NS_FIELD_NUMBER: _ClassVar[int]
+    PRESSURE_PA_FIELD_NUMBER: _ClassVar[int]
+    offset_ns: int
+    pressure_pa: float
+    def __init__(self, offset_ns: _Optional[int] = ..., pressure_pa: _Optional[float] = ...) -> None: ...

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from core.atmosphere import pressure_height_m, standard_pressure_pa
 from core.errors import InvalidInputError
 from core.measurements import Measurements, TimeArray
 from core.sensors import TriadCalibration
@@ -26,6 +27,7 @@ from core.simulation.sensors import (
     draw_errors,
     measure_inertial,
     measure_magnetic,
+    measure_pressure,
     measure_wheel_speed,
 )
 from core.simulation.trajectory import Place, Trajectory, drive
@@ -65,10 +67,10 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
         ),
         "city": Scenario("streets between houses, lights, potholes, a tunnel; no crash", roads.city, 900.0),
         "highway": Scenario(
-            "motorway with bridges overhead, hard braking and wheel speed; no crash",
+            "motorway with bridges overhead, hard braking, wheel speed and barometer; no crash",
             roads.highway,
             600.0,
-            device=replace(MICRO_IBB, wheel_speed_hz=4.0),
+            device=replace(MICRO_IBB, wheel_speed_hz=4.0, barometer_hz=10.0),
         ),
         "outages": Scenario(
             "a GNSS outage of 60 s every 150 s; low-cost MEMS and white GNSS errors",
@@ -141,7 +143,7 @@ def simulate(
     length_s = chosen.duration_s if duration_s is None else duration_s
     if not SHORTEST_S <= length_s <= LONGEST_S:
         raise InvalidInputError(f"a drive of {length_s:g} s: expected {SHORTEST_S:g} s to {LONGEST_S / 3600:g} h")
-    route_rng, unit_rng, inertial_rng, slow_rng = np.random.default_rng(seed).spawn(4)
+    route_rng, unit_rng, inertial_rng, slow_rng, air_rng = np.random.default_rng(seed).spawn(5)
     route = chosen.route(route_rng, length_s)
     errors = draw_errors(chosen.device, unit_rng)
     trajectory = drive(route, MADRID, rate_hz)
@@ -149,6 +151,7 @@ def simulate(
     gnss_t_s, gnss = measure_gnss(trajectory, route.sky, chosen.receiver, chosen.gnss_lever_arm_b_m, slow_rng)
     magnetic_t_s, magnetic = measure_magnetic(trajectory, MADRID.field_n_ut, chosen.device, errors, slow_rng)
     speed_t_s, speed = measure_wheel_speed(trajectory, chosen.device, errors)
+    barometer_t_s, pressure_pa = measure_pressure(trajectory, chosen.device, errors, air_rng)
     return SimulatedDrive(
         scenario=scenario,
         start_t_ns=START_T_NS,
@@ -165,6 +168,8 @@ def simulate(
             magnetic_s_ut=magnetic,
             speed_t_ns=absolute_ns(speed_t_s),
             speed_mps=speed,
+            barometer_t_ns=absolute_ns(barometer_t_s),
+            pressure_pa=pressure_pa,
             accel_full_scale_mps2=chosen.device.accelerometer.full_scale,
         ),
         trajectory=trajectory,
@@ -221,12 +226,24 @@ def _truth(
             "wheel_scale": errors.wheel_scale,
         },
     }
+    if device.barometer_hz > 0.0:
+        truth["sensor_errors"]["barometer"] = _barometer_json(errors, float(trajectory.alt_m[0]))
     if device.uncalibrated:
         truth["calibration"] = {
             "accelerometer": _calibration_json(errors.known_accelerometer),
             "gyroscope": _calibration_json(errors.known_gyroscope),
         }
     return truth
+
+
+def _barometer_json(errors: DeviceErrors, alt_m: float) -> dict[str, float]:
+    """What the unit and the weather add, and by how much the height from pressure is off for it, standing at first."""
+    shown_pa = standard_pressure_pa(np.array([alt_m])) + errors.pressure_offset_pa
+    return {
+        "pressure_offset_pa": errors.pressure_offset_pa,
+        "wind_share": errors.wind_share,
+        "height_bias_m": float(pressure_height_m(shown_pa)[0]) - alt_m,
+    }
 
 
 def _calibration_json(calibration: TriadCalibration) -> dict[str, list[float]]:

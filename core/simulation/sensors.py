@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.signal import lfilter
 
+from core.atmosphere import standard_density_kgpm3, standard_pressure_pa
 from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FloatArray
 from core.rotation import matrix_from_rpy
@@ -107,6 +108,34 @@ class Vibration(Tunables):
 
 
 @dataclass(frozen=True, slots=True)
+class Barometer(Tunables):
+    """Error budget of a barometer in a cabin: the weather, the sensor's offset, the wind of driving, and noise."""
+
+    offset_sd_pa: float = tunable(
+        800.0,
+        unit="Pa",
+        low=0.0,
+        high=5000.0,
+        source="choice: weather of middle latitudes, 1013 +- 8 hPa, and the sensor",
+    )
+    drift_sd_pa: float = tunable(
+        25.0, unit="Pa", low=0.0, high=1000.0, source="choice: weather and height of the sun, 0.5-1 hPa an hour; fan"
+    )
+    drift_s: float = tunable(
+        1800.0, unit="s", low=1.0, high=1e6, source="choice: correlation time of that, half an hour"
+    )
+    wind_share_sd: float = tunable(
+        0.05, unit="1", low=0.0, high=1.0, source="choice: of the dynamic pressure of driving that a cabin sees, +-"
+    )
+    noise_sd_pa: float = tunable(
+        1.3, unit="Pa", low=0.0, high=100.0, source="BMP280 data sheet: RMS noise 1.3 Pa without filter, 11 cm"
+    )
+    step_pa: float = tunable(
+        0.16, unit="Pa", low=1e-3, high=100.0, source="BMP280 data sheet: 20 bit, resolution 0.16 Pa"
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Device:
     """A black box. Default: the Micro-iBB (seed 1, table 1), calibrated at the factory.
 
@@ -127,6 +156,8 @@ class Device:
     hard_iron_sd_ut: float = 0.8  # choice: left over after a calibration in the car; 0 to 50
     wheel_speed_hz: float = 0.0  # 0: no wheel speed; a CAN bus gives 4 to 100 Hz
     wheel_scale_sd: float = 0.015  # choice: tyre wear and pressure, 1-2 %; 0 to 0.1
+    barometer_hz: float = 0.0  # 0: no barometer; a BMP280 gives up to 157 Hz
+    barometer: Barometer = field(default_factory=Barometer)
 
 
 MICRO_IBB: Final = Device()
@@ -167,6 +198,8 @@ class DeviceErrors:
     mounting_error_rpy_rad: Triple
     hard_iron_ut: Triple
     wheel_scale: float
+    pressure_offset_pa: float
+    wind_share: float
 
 
 def draw_errors(device: Device, rng: np.random.Generator) -> DeviceErrors:
@@ -199,6 +232,8 @@ def draw_errors(device: Device, rng: np.random.Generator) -> DeviceErrors:
         mounting_error_rpy_rad=_triple(off),
         hard_iron_ut=_triple(device.hard_iron_sd_ut * rng.standard_normal(3)),
         wheel_scale=1.0 + device.wheel_scale_sd * float(rng.standard_normal()),
+        pressure_offset_pa=device.barometer.offset_sd_pa * float(rng.standard_normal()),
+        wind_share=device.barometer.wind_share_sd * float(rng.standard_normal()),
     )
 
 
@@ -234,6 +269,26 @@ def measure_wheel_speed(truth: Trajectory, device: Device, errors: DeviceErrors)
     yaw = truth.rpy_rad[rows, 2]
     forward = truth.v_n[rows, 0] * np.cos(yaw) + truth.v_n[rows, 1] * np.sin(yaw)
     return truth.t_s[rows], np.round(np.abs(forward) * errors.wheel_scale, 2)
+
+
+def measure_pressure(
+    truth: Trajectory, device: Device, errors: DeviceErrors, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Times (b,) and air pressure (b,), Pa: a standard atmosphere over the ellipsoid, and the errors on top."""
+    rows = _every(truth, device.barometer_hz)
+    barometer, n = device.barometer, rows.size
+    if not n:
+        return np.empty(0), np.empty(0)
+    dt_s = 1.0 / device.barometer_hz
+    dynamic_pa = 0.5 * standard_density_kgpm3(truth.alt_m[rows]) * truth.speed_mps[rows] ** 2
+    pressure_pa = (
+        standard_pressure_pa(truth.alt_m[rows])
+        + errors.pressure_offset_pa
+        + errors.wind_share * dynamic_pa
+        + gauss_markov(n, barometer.drift_sd_pa, barometer.drift_s, dt_s, rng)
+        + barometer.noise_sd_pa * rng.standard_normal(n)
+    )
+    return truth.t_s[rows], np.rint(pressure_pa / barometer.step_pa) * barometer.step_pa
 
 
 def gauss_markov(n: int, sd: float, correlation_s: float, dt_s: float, rng: np.random.Generator) -> FloatArray:

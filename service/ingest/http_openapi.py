@@ -138,6 +138,7 @@ def _packet() -> dict[str, Any]:
             "gnss": {"type": "array", "items": {"type": "object"}},
             "magnetometer": {"type": "object"},
             "wheel_speed": {"type": "array", "items": {"type": "object"}},
+            "barometer": {"type": "array", "items": {"type": "object"}},
             "temperature_c": {"type": "number"},
             "ignition": {"type": "boolean"},
             "flags": {"type": "integer", "minimum": 0, "description": "1 airbag deployed, 2 power loss, 4 tow."},

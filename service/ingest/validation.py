@@ -6,6 +6,7 @@ import math
 from datetime import UTC, datetime
 from typing import Final
 
+from core.atmosphere import PRESSURE_RANGE_PA
 from core.measurements import GNSS, FloatArray, Measurements, TimeArray
 from schemas.keys import MAX_BOOT_ID, MAX_VEHICLE_ID, NAME_RULE, is_name
 from schemas.packet import MAX_COUNT, PacketError, measurements_from_packet
@@ -23,7 +24,7 @@ MIN_PERIOD_NS: Final = _NS_PER_S // 1000
 """Mean time between samples of one series: 1 kHz (interface, section 3)."""
 
 OFFSET_TOLERANCE_NS: Final = 2 * _NS_PER_S
-"""How far a fix, field or speed may lie outside the inertial samples: a receiver reports late, by up to 2 s."""
+"""How far a fix or another slow sample may lie outside the inertial ones: a receiver reports late, by up to 2 s."""
 
 MIN_TIME_NS: Final = int(datetime(2000, 1, 1, tzinfo=UTC).timestamp()) * _NS_PER_S
 """Earlier than any box (interface, section 3): a clock that was never set."""
@@ -75,7 +76,7 @@ REASONS: Final = {
     "span": f"the samples span more than {MAX_SPAN_NS // _NS_PER_S} s",
     "rate": f"more than {_NS_PER_S // MIN_PERIOD_NS} samples a second",
     "unsorted": "the times of a series do not increase",
-    "offset": "a fix, field or speed lies outside the packet's span",
+    "offset": "a fix, field, speed or pressure lies outside the packet's span",
     "block_length": "a block of samples is not a whole number of rows",
     "block_form": "samples and samples_f32 are both set",
     "scale": "the weight of a count is missing or absurd",
@@ -117,6 +118,9 @@ def check_content(packet: TelemetryPacket, now_ns: int) -> None:
     _check_range("imu: angular rate", m.omega_s, MAX_RATE_RADPS, "rad/s")
     _check_range("magnetometer", m.magnetic_s_ut, MAX_FIELD_UT, "microtesla")
     _check_range("wheel_speed", m.speed_mps, MAX_SPEED_MPS, "m/s")
+    if m.pressure_pa.size:
+        for pressure_pa in (m.pressure_pa.min(), m.pressure_pa.max()):  # both NaN if any is
+            _check_value("barometer: pressure_pa", float(pressure_pa), *PRESSURE_RANGE_PA)
     if packet.HasField("temperature_c"):
         low, high = TEMPERATURE_RANGE_C
         _check_value("temperature_c", packet.temperature_c, low, high)
@@ -157,6 +161,7 @@ def _check_times(packet: TelemetryPacket, m: Measurements) -> int:
         ("gnss", m.gnss_t_ns),
         ("magnetometer", m.magnetometer_t_ns),
         ("wheel_speed", m.speed_t_ns),
+        ("barometer", m.barometer_t_ns),
     )
     for name, t_ns in series:
         _check_series(name, t_ns)

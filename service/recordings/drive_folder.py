@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from core.atmosphere import PRESSURE_RANGE_PA
 from core.measurements import GNSS, GNSS_COLUMNS, FloatArray, Measurements, TimeArray
 from service.errors import RecordingError
 from service.recordings.csv_tables import (
@@ -30,6 +31,7 @@ from service.recordings.drive_toml import DriveHeader, Driver, GnssSetup, ImuSet
 
 IMU_CSV_COLUMNS: Final = ("t_s", "ax_mps2", "ay_mps2", "az_mps2", "gx_radps", "gy_radps", "gz_radps")
 MAGNETOMETER_CSV_COLUMNS: Final = ("t_s", "mx_ut", "my_ut", "mz_ut")
+BAROMETER_CSV_COLUMNS: Final = ("t_s", "pressure_hpa")
 ATTITUDE_CSV_COLUMNS: Final = ("t_s", "qw", "qx", "qy", "qz")
 REFERENCE_CSV_COLUMNS: Final = (
     "t_s",
@@ -43,6 +45,7 @@ REFERENCE_CSV_COLUMNS: Final = (
     "pitch_deg",
     "yaw_deg",
 )
+_PA_PER_HPA: Final = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +104,7 @@ def read_drive(folder: Path | str) -> Drive:
         raise RecordingError(f"{folder}: imu.csv has a header and no rows; expected at least one sample")
     magnetometer_t_ns, magnetic_s_ut = _series(folder, "magnetometer.csv", MAGNETOMETER_CSV_COLUMNS, start_t_ns)
     speed_t_ns, speed = _series(folder, "speed.csv", ("t_s", "speed_mps"), start_t_ns)
+    barometer_t_ns, pressure_pa = _read_barometer(folder, start_t_ns)
     measurements = Measurements(
         imu_t_ns=imu_t_ns,
         f_s=np.ascontiguousarray(imu[:, :3]),
@@ -111,6 +115,8 @@ def read_drive(folder: Path | str) -> Drive:
         magnetic_s_ut=magnetic_s_ut,
         speed_t_ns=speed_t_ns,
         speed_mps=np.ascontiguousarray(speed[:, 0]),
+        barometer_t_ns=barometer_t_ns,
+        pressure_pa=pressure_pa,
         accel_full_scale_mps2=header.imu.accel_full_scale_mps2 or math.nan,
     )
     return Drive(
@@ -179,6 +185,8 @@ def _files(drive: Drive) -> dict[str, bytes]:
         files["magnetometer.csv.gz"] = table(m.magnetometer_t_ns, columns)
     if m.speed_t_ns.size:
         files["speed.csv.gz"] = table(m.speed_t_ns, {"speed_mps": (m.speed_mps, "%.6g")})
+    if m.barometer_t_ns.size:
+        files["barometer.csv.gz"] = table(m.barometer_t_ns, {"pressure_hpa": (m.pressure_pa / _PA_PER_HPA, "%.9g")})
     if drive.attitude is not None:
         q = drive.attitude.q_n_from_b
         files["attitude.csv.gz"] = table(
@@ -254,6 +262,20 @@ def _read_gnss(folder: Path, start_t_ns: int) -> tuple[TimeArray, FloatArray, bo
         if written in table:
             rows[:, GNSS[name]] = np.radians(table[written]) if name.endswith("_rad") else table[written]
     return times_ns(table["t_s"], start_t_ns), rows, is_msl
+
+
+def _read_barometer(folder: Path, start_t_ns: int) -> tuple[TimeArray, FloatArray]:
+    """Times and pressures, Pa; a row without a pressure is no sample, and a column in another unit is refused."""
+    t_ns, rows = _series(folder, "barometer.csv", BAROMETER_CSV_COLUMNS, start_t_ns)
+    there = np.isfinite(rows[:, 0])
+    pressure_pa = rows[there, 0] * _PA_PER_HPA
+    low, high = PRESSURE_RANGE_PA
+    if pressure_pa.size and not low <= np.median(pressure_pa) <= high:
+        raise RecordingError(
+            f"{folder}: barometer.csv: column 'pressure_hpa' is {np.median(rows[there, 0]):g} in the middle; expected "
+            f"{low / _PA_PER_HPA:g} to {high / _PA_PER_HPA:g} hPa at the box, not reduced to the sea and not in Pa"
+        )
+    return t_ns[there], pressure_pa
 
 
 def _read_reference(folder: Path, start_t_ns: int) -> Reference | None:

@@ -73,7 +73,7 @@ def _finite_inertial(m: Measurements) -> Measurements:
 
 def _edges(m: Measurements, packet_ns: int, period_ns: int) -> list[int]:
     """Times at which packets begin, and the end of the last; no packet is empty."""
-    t_all = np.unique(np.concatenate([m.imu_t_ns, m.gnss_t_ns, m.magnetometer_t_ns, m.speed_t_ns]))
+    t_all = np.unique(np.concatenate([m.imu_t_ns, m.gnss_t_ns, m.magnetometer_t_ns, m.speed_t_ns, m.barometer_t_ns]))
     if not t_all.size:
         return []
     after_gap = m.imu_t_ns[1:][np.diff(m.imu_t_ns) > GAP_PERIODS * period_ns]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from core.atmosphere import pressure_height_m
 from core.measurements import GNSS
 from core.sensors import TriadCalibration
 from core.simulation.gnss import Receiver, measure_gnss
@@ -24,6 +25,7 @@ from core.simulation.sensors import (
     gauss_markov,
     measure_inertial,
     measure_magnetic,
+    measure_pressure,
     measure_wheel_speed,
 )
 from core.simulation.trajectory import Trajectory, drive
@@ -159,6 +161,23 @@ def test_wheels_show_the_speed_times_their_unknown_scale(driving: Trajectory) ->
     assert np.diff(t_s) == pytest.approx(np.full(t_s.size - 1, 0.25), abs=0.011)
     assert speed[-1] == pytest.approx(14.0 * 1.02, abs=0.01)
     assert measure_wheel_speed(driving, MICRO_IBB, _perfect())[0].size == 0
+
+
+def test_a_barometer_shows_the_height_but_for_weather_wind_and_noise(driving: Trajectory) -> None:
+    device = replace(MICRO_IBB, barometer_hz=10.0)
+    errors = replace(_perfect(), pressure_offset_pa=400.0, wind_share=0.0)
+    t_s, pressure_pa = measure_pressure(driving, device, errors, np.random.default_rng(3))
+    assert np.diff(t_s) == pytest.approx(np.full(t_s.size - 1, 0.1), abs=0.011)
+    error_m = pressure_height_m(pressure_pa) - np.interp(t_s, driving.t_s, driving.alt_m)
+    # 640 m up 1 hPa is 9.0 m; the drift's sd of 25 Pa is 2.2 m, of which 3 sd.
+    assert error_m == pytest.approx(np.full(t_s.size, -36.0), abs=6.6)
+    # What changes from sample to sample is noise, 1.3 Pa, and a step of the drift, 0.26 Pa.
+    assert np.diff(pressure_pa).std() / math.sqrt(2.0) == pytest.approx(1.31, rel=0.05)
+    assert np.rint(pressure_pa / 0.16) * 0.16 == pytest.approx(pressure_pa, abs=1e-6)
+    blown = measure_pressure(driving, device, replace(errors, wind_share=0.1), np.random.default_rng(3))[1]
+    # A tenth of half the density, 1.15 kg/m3 at 640 m, times (14 m/s)^2, to the converter's step.
+    assert blown[-1] - pressure_pa[-1] == pytest.approx(0.1 * 0.5 * 1.15 * 14.0**2, abs=0.2)
+    assert measure_pressure(driving, MICRO_IBB, errors, np.random.default_rng(3))[0].size == 0
 
 
 def test_an_uncalibrated_box_is_far_off_and_its_calibration_knows_by_how_much() -> None:

@@ -49,6 +49,7 @@ def measurements(draw: st.DrawFn) -> Measurements:
         return np.random.default_rng(seed).uniform(-most, most, shape)
 
     imu_t_ns, gnss_t_ns, magnetometer_t_ns, speed_t_ns = times(12), times(3), times(5), times(5)
+    barometer_t_ns = times(5)
     rows = []
     for _ in gnss_t_ns:
         row = [math.nan] * len(GNSS_COLUMNS)
@@ -67,6 +68,8 @@ def measurements(draw: st.DrawFn) -> Measurements:
         magnetic_s_ut=values((len(magnetometer_t_ns), 3), 100.0),
         speed_t_ns=speed_t_ns,
         speed_mps=values((len(speed_t_ns),), 80.0),
+        barometer_t_ns=barometer_t_ns,
+        pressure_pa=90_000.0 + values((len(barometer_t_ns),), 20_000.0),
         ignition=draw(st.sampled_from([None, True, False])),
         flags=draw(st.integers(0, 7)),
     )
@@ -76,16 +79,17 @@ def measurements(draw: st.DrawFn) -> Measurements:
 @settings(max_examples=150, deadline=None)
 def test_measurements_survive_the_wire(m: Measurements, wide: bool) -> None:
     scales = {} if wide else {"accel_scale_mps2": 0.005, "gyro_scale_radps": 0.000125}
-    assume(any(map(len, (m.imu_t_ns, m.gnss_t_ns, m.magnetometer_t_ns, m.speed_t_ns))))
+    assume(any(map(len, (m.imu_t_ns, m.gnss_t_ns, m.magnetometer_t_ns, m.speed_t_ns, m.barometer_t_ns))))
     packet = encode_packet("car", "boot", 1, m, period_ns=5_000_000, wide=wide, **scales)
     back = measurements_from_packet(decode(packet.SerializeToString()))
-    for name in ("imu_t_ns", "gnss_t_ns", "magnetometer_t_ns", "speed_t_ns"):
+    for name in ("imu_t_ns", "gnss_t_ns", "magnetometer_t_ns", "speed_t_ns", "barometer_t_ns"):
         np.testing.assert_array_equal(getattr(back, name), getattr(m, name))
     # Half a count where there are counts, else float32's 24 bits.
     np.testing.assert_allclose(back.f_s, m.f_s, atol=1e-9 if wide else 0.00250001, rtol=1e-7)
     np.testing.assert_allclose(back.omega_s, m.omega_s, atol=1e-9 if wide else 0.0000625001, rtol=1e-7)
     np.testing.assert_allclose(back.magnetic_s_ut, m.magnetic_s_ut, rtol=1e-7)
     np.testing.assert_allclose(back.speed_mps, m.speed_mps, atol=0.000501)
+    np.testing.assert_allclose(back.pressure_pa, m.pressure_pa, rtol=6e-8)  # float32
     for name, (_low, _high, unit) in _COLUMNS.items():
         # Half a unit of the wire, and the rounding of doubles at 4e6.
         np.testing.assert_allclose(back.gnss[:, GNSS[name]], m.gnss[:, GNSS[name]], atol=0.51 * unit, rtol=1e-15)

@@ -52,6 +52,8 @@ def _drive() -> Drive:
             magnetic_s_ut=np.round(rng.normal(0, 30, (5, 3)), 3),
             speed_t_ns=t_ns[::25],
             speed_mps=np.array([1.25, 1.5]),
+            barometer_t_ns=t_ns[::20],
+            pressure_pa=np.array([94012.25, 94012.5, 94013.0]),
             accel_full_scale_mps2=19.6133,
         ),
         imu=ImuSetup(100.0, "forward-right-down", (1.0, -2.0, 90.0), (0.1, 0.2, 0.3), 19.6133, {"gyro_arw": 1e-4}),
@@ -71,6 +73,8 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         assert getattr(read, name) == getattr(drive, name), name
     for name in ("imu_t_ns", "omega_s", "gnss_t_ns", "magnetometer_t_ns", "magnetic_s_ut", "speed_t_ns", "speed_mps"):
         assert np.array_equal(getattr(read.measurements, name), getattr(drive.measurements, name)), name
+    assert read.measurements.barometer_t_ns.tolist() == drive.measurements.barometer_t_ns.tolist()
+    assert read.measurements.pressure_pa == pytest.approx(drive.measurements.pressure_pa, rel=1e-12)  # Pa, hPa and back
     # Nine digits of a value near 10, ten decimals of a degree.
     assert read.measurements.f_s == pytest.approx(drive.measurements.f_s, rel=1e-8)
     assert read.measurements.gnss == pytest.approx(drive.measurements.gnss, rel=1e-7, abs=1e-11, nan_ok=True)
@@ -115,6 +119,14 @@ def test_plain_and_compressed_tables_extra_columns_quotes_and_empty_cells_are_ta
     assert m.imu_t_ns.tolist() == [START_NS, START_NS + 10_000_000]
 
 
+def test_air_pressure_is_read_in_hectopascal_and_a_missing_one_is_no_sample(tmp_path: Path) -> None:
+    folder = _folder(tmp_path / "d", barometer_csv="t_s,pressure_hpa\n0,950.25\n0.1,\n0.2,0\n0.3,950.5\n")
+    m = read_drive(folder).measurements
+    # One wild value of a sensor does not make the recording unreadable: it goes to the filter, which refuses it.
+    assert m.pressure_pa.tolist() == [95_025.0, 0.0, 95_050.0]
+    assert (m.barometer_t_ns - START_NS).tolist() == [0, 200_000_000, 300_000_000]
+
+
 @pytest.mark.parametrize(
     ("file", "text", "expected"),
     [
@@ -137,6 +149,9 @@ def test_plain_and_compressed_tables_extra_columns_quotes_and_empty_cells_are_ta
         ("drive_toml", TOML + "[imu]\nrate_hz = 0\n", r"\[imu\] rate_hz is 0; expected a number above 0"),
         ("drive_toml", TOML + '[driver]\nsex = "x"\n', r"\[driver\] sex"),
         ("truth_json", "{", "is no JSON"),
+        ("barometer_csv", "t_s,pressure_pa\n0,95000\n", r"barometer\.csv: line 1: column 'pressure_hpa' is missing"),
+        ("barometer_csv", "t_s,pressure_hpa\n0,95000\n1,95010\n", r"'pressure_hpa' is 95005 .* 300 to 1100 hPa .*Pa"),
+        ("barometer_csv", "t_s,pressure_hpa\n1,950\n0,950\n", "time to increase"),
     ],
 )
 def test_a_bad_file_is_refused_by_place_and_with_what_was_expected(

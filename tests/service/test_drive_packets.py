@@ -45,8 +45,10 @@ def test_a_simulated_drive_arrives_whole_in_packets_of_a_second(simulated: Drive
     m = simulated.measurements
     assert len(parts) == 61
     assert {part.imu_t_ns.size for part in parts[:-1]} == {200}
-    for name in ("imu_t_ns", "gnss_t_ns", "magnetometer_t_ns", "speed_t_ns"):
+    for name in ("imu_t_ns", "gnss_t_ns", "magnetometer_t_ns", "speed_t_ns", "barometer_t_ns"):
         assert np.array_equal(_all(parts, name), getattr(m, name)), name
+    assert _all(parts, "pressure_pa").size == 601
+    assert _all(parts, "pressure_pa") == pytest.approx(m.pressure_pa, abs=0.004)  # float32 near 1e5
     # The box's counts go over the wire as they are; the folder holds nine digits of them.
     assert _all(parts, "f_s") == pytest.approx(m.f_s, abs=1e-6)
     assert _all(parts, "omega_s") == pytest.approx(m.omega_s, abs=1e-6)

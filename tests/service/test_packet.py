@@ -72,6 +72,8 @@ def one_second(seed: int = 0, count: int = 200) -> Measurements:
         magnetic_s_ut=rng.normal(0, 30, (10, 3)),
         speed_t_ns=np.array([T0_NS + 1, T0_NS + 250_000_007]),
         speed_mps=np.array([12.345, -0.5]),
+        barometer_t_ns=np.array([T0_NS - 1, T0_NS + 500_000_000]),
+        pressure_pa=np.array([101_325.16, 94_000.5]),
         temperature_c=21.5,
         accel_full_scale_mps2=19.6,
         ignition=False,
@@ -89,7 +91,7 @@ def through_the_wire(packet: TelemetryPacket) -> Measurements:
 
 
 def assert_same_times(m: Measurements, back: Measurements) -> None:
-    for name in ("imu_t_ns", "gnss_t_ns", "magnetometer_t_ns", "speed_t_ns"):
+    for name in ("imu_t_ns", "gnss_t_ns", "magnetometer_t_ns", "speed_t_ns", "barometer_t_ns"):
         np.testing.assert_array_equal(getattr(back, name), getattr(m, name))
 
 
@@ -105,6 +107,7 @@ def test_everything_measured_comes_back() -> None:
     np.testing.assert_allclose(back.gnss[:, :2], m.gnss[:, :2], atol=0.51e-9 * math.pi / 180, rtol=0)
     np.testing.assert_allclose(back.magnetic_s_ut, m.magnetic_s_ut, rtol=6e-8)  # float32
     np.testing.assert_allclose(back.speed_mps, m.speed_mps, atol=1e-12)
+    np.testing.assert_allclose(back.pressure_pa, m.pressure_pa, atol=0.004)  # half a step of float32 at 1e5
     assert (back.temperature_c, back.ignition, back.flags) == (21.5, False, FLAG_AIRBAG)
     assert back.accel_full_scale_mps2 == 19.6
 
@@ -114,7 +117,7 @@ def test_what_is_unknown_stays_unknown() -> None:
     back = through_the_wire(counts_packet(m))
     assert math.isnan(back.temperature_c)
     assert back.ignition is None
-    assert len(back.gnss_t_ns) == len(back.magnetometer_t_ns) == len(back.speed_t_ns) == 0
+    assert len(back.gnss_t_ns) == len(back.magnetometer_t_ns) == len(back.speed_t_ns) == len(back.barometer_t_ns) == 0
     assert back.gnss.shape == (0, len(GNSS_COLUMNS))
     assert back.accel_full_scale_mps2 == ACCEL_SCALE * 32767  # where counts end
 
@@ -167,9 +170,11 @@ def test_json_takes_either_spelling_and_base64() -> None:
             "startTimeNs": T0_NS,
             "imu": {"periodNs": 10, "samples": "AQACAAMABAAFAAYA", "offsetsNs": [0]},
             "wheelSpeed": [{"offsetNs": 5, "speedMmps": -100}],
+            "barometer": [{"offsetNs": 5, "pressurePa": 95000.25}],
         }
     )
     assert (packet.sequence, packet.start_time_ns, packet.wheel_speed[0].speed_mmps) == (3, T0_NS, -100)
+    assert (packet.barometer[0].offset_ns, packet.barometer[0].pressure_pa) == (5, 95000.25)
     assert np.frombuffer(packet.imu.samples, "<i2").tolist() == [1, 2, 3, 4, 5, 6]
     assert np.frombuffer(packet.imu.offsets_ns, "<i8").tolist() == [0]
 

@@ -27,6 +27,7 @@ def good_packet() -> TelemetryPacket:
     packet.magnetometer.period_ns, packet.magnetometer.scale_ut = 100_000_000, 0.1
     packet.magnetometer.samples = np.zeros((10, 3), "<i2").tobytes()
     packet.wheel_speed.add(offset_ns=0, speed_mmps=10_000)
+    packet.barometer.add(offset_ns=0, pressure_pa=101_325.0)
     return packet
 
 
@@ -59,7 +60,7 @@ Change = Callable[[TelemetryPacket], object]
 TAKEN: list[Change] = [
     lambda p: None,
     lambda p: p.ClearField("imu"),
-    lambda p: [p.ClearField(name) for name in ("imu", "gnss", "magnetometer", "wheel_speed")],
+    lambda p: [p.ClearField(name) for name in ("imu", "gnss", "magnetometer", "wheel_speed", "barometer")],
     lambda p: setattr(p, "start_time_ns", validation.MIN_TIME_NS),
     lambda p: setattr(p, "start_time_ns", NOW_NS + 24 * 3600 * SECOND_NS - SECOND_NS),
     lambda p: set_even_samples(p, 6001, 10_000_000),  # 60 s
@@ -74,6 +75,8 @@ TAKEN: list[Change] = [
     lambda p: setattr(p.gnss[0], "course_1e5deg", 36_000_000),
     lambda p: setattr(p.gnss[0], "speed_mmps", 200_000),
     lambda p: setattr(p.gnss[0], "sd_h_mm", 1),
+    lambda p: setattr(p.barometer[0], "pressure_pa", 30_000.0),
+    lambda p: setattr(p.barometer[0], "pressure_pa", 110_000.0),
     lambda p: no_position(p, FixType.FIX_TYPE_NONE),
 ]
 
@@ -104,9 +107,11 @@ REFUSED: list[tuple[str, Change]] = [
     ("unsorted", lambda p: set_offsets(p, 0, 5_000_000, 5_000_000)),
     ("unsorted", lambda p: p.gnss.add(offset_ns=-1, lat_1e9deg=10**9, lon_1e9deg=10**9)),
     ("unsorted", lambda p: p.wheel_speed.add(offset_ns=0, speed_mmps=1)),
+    ("unsorted", lambda p: p.barometer.add(offset_ns=0, pressure_pa=1e5)),
     ("offset", lambda p: set_offsets(p, -1, 5_000_000)),
     ("offset", lambda p: setattr(p.gnss[0], "offset_ns", -2 * SECOND_NS - 1)),
     ("offset", lambda p: setattr(p.wheel_speed[0], "offset_ns", 4 * SECOND_NS)),
+    ("offset", lambda p: setattr(p.barometer[0], "offset_ns", -3 * SECOND_NS)),
     ("offset", lambda p: setattr(p.magnetometer, "offset_ns", 3 * SECOND_NS)),
     ("block_length", lambda p: setattr(p.imu, "samples", bytes(13))),
     ("block_length", lambda p: setattr(p.imu, "offsets_ns", bytes(8))),
@@ -128,6 +133,11 @@ REFUSED: list[tuple[str, Change]] = [
     ("range", lambda p: set_imu_floats(p, 0, 0, 0, 0, -101, 0)),
     ("range", lambda p: setattr(p, "temperature_c", -274.0)),
     ("range", lambda p: setattr(p.wheel_speed[0], "speed_mmps", 200_001)),
+    ("range", lambda p: setattr(p.barometer[0], "pressure_pa", 1013.25)),  # hPa
+    ("range", lambda p: setattr(p.barometer[0], "pressure_pa", 110_001.0)),
+    ("range", lambda p: p.barometer[0].ClearField("pressure_pa")),
+    ("not_finite", lambda p: setattr(p.barometer[0], "pressure_pa", math.nan)),
+    ("not_finite", lambda p: p.barometer.add(offset_ns=1_000_000, pressure_pa=math.inf)),
     ("range", lambda p: setattr(p.gnss[0], "lat_1e9deg", 90_000_000_001)),
     ("range", lambda p: setattr(p.gnss[0], "lon_1e9deg", -180_000_000_001)),
     ("range", lambda p: setattr(p.gnss[0], "height_mm", 30_000_000)),

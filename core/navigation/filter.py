@@ -220,11 +220,12 @@ class NavigationFilter:
                 self._go_back(late & (self._pending.from_ns <= t_ns[0]), records)
                 return 0
         aids = self._pending.take(~late)
-        own = t_ns[:end], f_b[:end], omega_b[:end], saturated[:end]
-        used, used_aids, track, told, stopped = self._run(*own, aids, epochs[:end])
+        used, used_aids, track, told, stopped = self._run(
+            t_ns[:end], f_b[:end], omega_b[:end], saturated[:end], aids, epochs[:end]
+        )
         rows.append(track)
         records.append(told)
-        self._recent.add(*(one[:used] for one in own), aids.take(slice(0, used_aids)))
+        self._recent.add(t_ns[:used], f_b[:used], omega_b[:used], saturated[:used], aids.take(slice(0, used_aids)))
         done = np.zeros(len(self._pending), np.bool_)
         done[np.flatnonzero(~late)[:used_aids]] = True
         self._pending = self._pending.take(~done)

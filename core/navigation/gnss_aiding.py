@@ -100,7 +100,7 @@ WILD_RATIO = 9.0
 @njit(cache=True, nogil=True)
 def slow_share(x: FloatArray, par: FloatArray) -> float:
     """Share of a fix's stated variance that hangs together in time."""
-    return max(0.0, 1.0 - x[X_WHITE_SHARE] - par[_P_MARGIN])
+    return float(max(0.0, 1.0 - x[X_WHITE_SHARE] - par[_P_MARGIN]))
 
 
 @njit(cache=True, nogil=True)

@@ -57,5 +57,5 @@ def pending(kind: int, t_ns: TimeArray, from_ns: TimeArray, values: FloatArray) 
     """Aids of one kind; ``values`` (n,) or (n, columns)."""
     rows = np.zeros((len(t_ns), AID_WIDTH))
     rows[:, 0] = kind
-    rows[:, 1 : 1 + COLUMNS[kind]] = values.reshape(len(t_ns), -1)
+    rows[:, 1 : 1 + COLUMNS[kind]] = values.reshape(len(t_ns), COLUMNS[kind])
     return Pending(t_ns, from_ns, rows)

@@ -11,6 +11,10 @@ import numpy as np
 from core.measurements import GNSS, GNSS_COLUMNS, FloatArray, TimeArray
 from core.navigation import kernel
 from core.navigation.filter import Aids, FilterConfig, NavigationFilter
+from core.navigation.nodes import NODE_WIDTH
+from core.navigation.pending import pending
+from core.navigation.records import RECORD_COLUMNS
+from core.navigation.state import K_GNSS
 from core.navigation.track import TRACK_COLUMNS
 
 RATE_HZ: Final = 200
@@ -80,11 +84,14 @@ def measure(packets: int = 1000) -> dict[str, Any]:
 
     epochs, rows = np.empty((RATE_HZ, 4)), np.empty((16, len(TRACK_COLUMNS)))
     row_t = np.empty(16, np.int64)
+    log = np.empty(64, np.int64), np.empty((64, len(RECORD_COLUMNS)))
+    no_nodes = np.empty(0, np.int64), np.empty((0, NODE_WIDTH))
 
     def call(samples: slice, fixes: slice) -> float:
+        aids = pending(K_GNSS, drive.t_ns[::RATE_HZ][fixes], drive.t_ns[::RATE_HZ][fixes], drive.gnss[fixes])
         arguments = fused.kernel_arguments(
             drive.t_ns[samples], drive.f_b[samples], drive.omega_b[samples], unclipped,
-            (drive.t_ns[::RATE_HZ][fixes], drive.gnss[fixes]), no_speed, epochs, row_t, rows,
+            aids.t_ns, aids.rows, epochs, row_t, rows, *log, *no_nodes,
         )  # fmt: skip
         begin = time.perf_counter_ns()
         kernel.run(*arguments)

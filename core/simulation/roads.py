@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -70,6 +71,11 @@ def outages(rng: np.random.Generator, duration_s: float) -> Route:
         b.under(Sky.OUTAGE, start_s, start_s + 60.0)
         start_s += 150.0
     return _finish(b, duration_s)
+
+
+def smooth_outages(rng: np.random.Generator, duration_s: float) -> Route:
+    """The route of ``outages`` without its bumps and potholes."""
+    return replace(outages(rng, duration_s), bumps=())
 
 
 def parking(rng: np.random.Generator, duration_s: float) -> Route:

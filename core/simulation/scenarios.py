@@ -18,6 +18,7 @@ from core.simulation import roads
 from core.simulation.gnss import Receiver, measure_gnss
 from core.simulation.route import Route, Sky
 from core.simulation.sensors import (
+    EXACT_MEMS,
     LOW_COST_MEMS,
     MICRO_IBB,
     UNCALIBRATED,
@@ -30,7 +31,7 @@ from core.simulation.sensors import (
     measure_pressure,
     measure_wheel_speed,
 )
-from core.simulation.trajectory import Place, Trajectory, drive
+from core.simulation.trajectory import RIGID, Place, Suspension, Trajectory, drive
 
 START_T_NS: Final = 1_714_984_200_000_000_000
 """2024-05-06T08:30:00Z, a Monday in May: past for any clock, since a service refuses packets from the future."""
@@ -58,6 +59,7 @@ class Scenario:
     device: Device = MICRO_IBB
     receiver: Receiver = field(default_factory=Receiver)
     gnss_lever_arm_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    suspension: Suspension = field(default_factory=Suspension)
 
 
 SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
@@ -77,6 +79,21 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             roads.outages,
             600.0,
             device=LOW_COST_MEMS,
+            receiver=WHITE_GNSS,
+        ),
+        "exact_outages": Scenario(
+            "as outages, and the body goes exactly where its wheels point: smooth road, rigid springs, no vibration",
+            roads.smooth_outages,
+            600.0,
+            device=EXACT_MEMS,
+            receiver=WHITE_GNSS,
+            suspension=RIGID,
+        ),
+        "uncalibrated_outages": Scenario(
+            "as outages, recorded as soldered; the calibration is in the truth",
+            roads.outages,
+            600.0,
+            device=UNCALIBRATED,
             receiver=WHITE_GNSS,
         ),
         "parking": Scenario("manoeuvring with kerbs and reversing; struck from behind at rest", roads.parking, 300.0),
@@ -146,7 +163,7 @@ def simulate(
     route_rng, unit_rng, inertial_rng, slow_rng, air_rng = np.random.default_rng(seed).spawn(5)
     route = chosen.route(route_rng, length_s)
     errors = draw_errors(chosen.device, unit_rng)
-    trajectory = drive(route, MADRID, rate_hz)
+    trajectory = drive(route, MADRID, rate_hz, chosen.suspension)
     f_s, omega_s = measure_inertial(trajectory, chosen.device, errors, inertial_rng)
     gnss_t_s, gnss = measure_gnss(trajectory, route.sky, chosen.receiver, chosen.gnss_lever_arm_b_m, slow_rng)
     magnetic_t_s, magnetic = measure_magnetic(trajectory, MADRID.field_n_ut, chosen.device, errors, slow_rng)

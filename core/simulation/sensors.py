@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -184,6 +184,14 @@ LOW_COST_MEMS: Final = Device(
     ),
     mounting_sd_rad=0.0,
 )
+
+EXACT_MEMS: Final = replace(
+    LOW_COST_MEMS,
+    vibration=Vibration(road_sd_mps2=0.0, engine_sd_mps2=0.0, ringing_share=0.0),
+    wheel_speed_hz=4.0,
+    wheel_scale_sd=0.005,
+)
+"""The same unit in a car that does not shake, with a wheel speed whose scale is off by some 0.5 %."""
 
 
 @dataclass(frozen=True, slots=True)

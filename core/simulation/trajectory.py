@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numba import njit
@@ -47,6 +48,10 @@ class Suspension(Tunables):
         0.0036, unit="rad/(m/s2)", low=0.0, high=0.03, source="2 deg/g: choice, a firm car's dive under braking"
     )
     wheelbase_m: float = tunable(2.6, unit="m", low=1.5, high=5.0, source="compact car")
+
+
+RIGID: Final = Suspension(roll_rad_per_mps2=0.0, pitch_rad_per_mps2=0.0)
+"""No springs: on a smooth road the body points along its path."""
 
 
 @dataclass(frozen=True, slots=True)

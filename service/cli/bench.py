@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from service.bench import kernel, load, report, stages
+from service.bench import kernel, load, navigation, navigation_report, report, stages
 from service.bench.fleet import record_drives
 from service.bench.target import Address
 from service.cli.ending import unwinding_on_sigterm
@@ -47,6 +47,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="how long the service is saturated, and then how long it is loaded by half for latency (default 8)",
     )
     parser.add_argument("--kernel", action="store_true", help="measure the navigation filter alone")
+    parser.add_argument(
+        "--navigation",
+        action="store_true",
+        help="measure the navigation's accuracy instead: errors in outages of simulated and recorded drives, whether"
+        " they are as large as stated, what calibration is worth; beside what is asked of each",
+    )
+    parser.add_argument(
+        "--part",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help=f"with --navigation: only this part, {', '.join(navigation.PART_NAMES)}; may be repeated (default: all)",
+    )
+    parser.add_argument(
+        "--drives",
+        type=Path,
+        metavar="DIR",
+        help="with --navigation: where the recorded drives are (default: ../shared/drives beside the checkout;"
+        " the part 'real' is left out where there are none)",
+    )
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
     parser.add_argument(
         "--to",
@@ -65,6 +85,11 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure; 1 if a packet was lost or taken twice, or an alert did not come."""
     if arguments.kernel:
         _print_kernel(as_json=arguments.json)
+        return 0
+    if arguments.navigation:
+        with _Phases() as phases:
+            found = navigation.measure(arguments.part, arguments.drives, phases.tell)
+        print(json.dumps(found) if arguments.json else navigation_report.tables(found))
         return 0
     _check(arguments)
     with unwinding_on_sigterm(), TemporaryDirectory(prefix="telefuse-bench-") as directory:
@@ -144,6 +169,8 @@ def _print_kernel(*, as_json: bool) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> None:
+    if arguments.part or arguments.drives is not None:
+        raise UsageError("--part and --drives are for --navigation; expected --navigation beside them")
     if not 1 <= arguments.vehicles <= MAX_VEHICLES:
         raise UsageError(f"--vehicles {arguments.vehicles}: expected 1 to {MAX_VEHICLES}")
     low, high = RATES_HZ

@@ -135,7 +135,7 @@ def figures(drive: Drive, fused: Fused, outages: Sequence[Outage]) -> dict[str, 
         "rows": int(placed.sum()),
         "aids": _by_aid(fused.counts),
     }
-    against, errors = _errors(drive, Track(track.t_ns[placed & navigating], track.values[placed & navigating]), outages)
+    against, errors = track_errors(drive, track, outages)
     result["against"] = against
     if errors is None:
         missing = dict.fromkeys(_COMPARED)
@@ -190,7 +190,7 @@ def _not_compared(outage: Outage, against: str | None) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Errors:
+class TrackErrors:
     """Track against truth at instants ``t_s``: horizontal error, and the same freed of a constant offset."""
 
     t_s: FloatArray
@@ -202,12 +202,14 @@ class _Errors:
     lon_rad: FloatArray
 
 
-def _errors(drive: Drive, track: Track, outages: Sequence[Outage]) -> tuple[str | None, _Errors | None]:
-    """Errors against the reference where there is one, else against the fixes (the withheld ones among them).
+def track_errors(drive: Drive, track: Track, outages: Sequence[Outage]) -> tuple[str | None, TrackErrors | None]:
+    """Errors while navigating, against the reference where there is one, else the fixes (the withheld ones among them).
 
     A reference that sits elsewhere on the vehicle differs by a constant; the median outside the outages is
     reported as that offset (north, east, down), and outages are judged without it.
     """
+    used = np.isfinite(track.column("lat_rad")) & (track.column("mode") != Mode.ALIGNING)
+    track = Track(track.t_ns[used], track.values[used])
     if len(track.t_ns) < 2:
         return None, None
     first, last = int(track.t_ns[0]), int(track.t_ns[-1])
@@ -240,7 +242,7 @@ def _errors(drive: Drive, track: Track, outages: Sequence[Outage]) -> tuple[str 
         difference = wrap_angle_rad(fused_yaw - yaw)
         yaw_error = difference[np.isfinite(difference)]
     name = "gnss" if reference is None else "reference"
-    return name, _Errors(t_s, np.hypot(error_n[:, 0], error_n[:, 1]), freed, offset, yaw_error, lat, lon)
+    return name, TrackErrors(t_s, np.hypot(error_n[:, 0], error_n[:, 1]), freed, offset, yaw_error, lat, lon)
 
 
 def _at(t_ns: TimeArray, track: Track, name: str) -> FloatArray:
@@ -279,7 +281,7 @@ def _seconds(t_ns: TimeArray, drive: Drive) -> FloatArray:
     return np.asarray((t_ns - drive.start_t_ns) * 1e-9)
 
 
-def _distance_m(errors: _Errors, inside: npt.NDArray[np.bool_]) -> float:
+def _distance_m(errors: TrackErrors, inside: npt.NDArray[np.bool_]) -> float:
     lat, lon = errors.lat_rad[inside], errors.lon_rad[inside]
     place = ned_offset_m(lat, lon, np.zeros(len(lat)), (float(lat[0]), float(lon[0]), 0.0))
     return float(np.hypot(*np.diff(place[:, :2], axis=0).T).sum())

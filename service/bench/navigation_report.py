@@ -1,0 +1,97 @@
+"""The navigation's figures as tables for people."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+
+def tables(found: Mapping[str, Any]) -> str:
+    """One table a part, and at the end what is asked against what was measured."""
+    makers: Mapping[str, Callable[[Any], Iterable[str]]] = {
+        "synthetic": _synthetic,
+        "real": _real,
+        "consistency": _consistency,
+        "calibration": _calibration,
+        "targets": _targets,
+    }
+    return "\n\n".join("\n".join(make(found[name])) for name, make in makers.items() if found.get(name))
+
+
+def _synthetic(found: Mapping[str, Any]) -> Iterable[str]:
+    yield f"{found['drives']} simulated drives ({found['scenario']}), {len(found['outages'])} outages; error in m:"
+    rows = [("aided by", "30 s RMS", "median", "max", "60 s RMS", "median", "max")]
+    for aiding in found["aidings"].values():
+        instants = [aiding[name] for name in ("at_30_s", "at_60_s")]
+        rows.append((aiding["text"], *(_m(one[key]) for one in instants for key in ("rms_m", "median_m", "max_m"))))
+    yield from _aligned(rows)
+
+
+def _real(found: Mapping[str, Any]) -> Iterable[str]:
+    yield "recorded drives; error in m:"
+    rows = [("drive", "outage", "method", "figure", "error", "of each outage")]
+    for name, drive in found.items():
+        if (one := drive.get("outage")) is not None:
+            span = f"{one['start_s']:g}:{one['duration_s']:g}"
+            rows += [(name, span, method, "RMS", _m(one[method]["rms_m"]), "") for method in _methods(one)]
+        if (sweep := drive.get("sweep")) is not None:
+            span = f"{sweep['duration_s']:g} s every {sweep['every_s']:g} s"
+            for method in _methods(sweep):
+                ends = " ".join(_m(run["end_m"], 1) for run in sweep[method]["outages"])
+                rows.append((name, span, method, "median end", _m(sweep[method]["median_end_m"]), ends))
+    yield from _aligned(rows, left=(0, 1, 2, 3, 5))
+
+
+def _consistency(found: Mapping[str, Any]) -> Iterable[str]:
+    yield f"errors against what is stated, {found['drives']} drives ({found['scenario']}):"
+    rows = [("NEES of", "mean", "expected", "95 % band", "")]
+    for name, one in found["nees"].items():
+        low, high = one["band"]
+        verdict = "inside" if one["inside"] else "outside"
+        rows.append((name, _m(one["mean"]), _m(one["expected"]), f"{low:.2f} to {high:.2f}", verdict))
+    yield from _aligned(rows)
+    rows = [("within 3 sd", *next(iter(found["within_3_sd"].values())))]
+    for where, shares in found["within_3_sd"].items():
+        rows.append((where.replace("_", " "), *(f"{100 * share:.2f} %" for share in shares.values())))
+    yield from _aligned(rows)
+
+
+def _calibration(found: Mapping[str, Any]) -> Iterable[str]:
+    yield f"{found['drives']} drives with an uncalibrated box ({found['scenario']}); RMS and largest error in m:"
+    names = list(found["solutions"])
+    rows = [("seed", "outage", *names)]
+    for one in found["outages"]:
+        cells = (f"{_m(one[name]['rms_m'], 1)} / {_m(one[name]['max_m'], 1)}" for name in names)
+        rows.append((str(one["seed"]), f"{one['start_s']:.0f} s", *cells))
+    cells = (f"{_m(one['rms_m'], 1)} / {_m(one['max_m'], 1)}" for one in found["solutions"].values())
+    rows.append(("all", "", *cells))
+    yield from _aligned(rows)
+
+
+def _targets(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
+    yield "asked and measured:"
+    rows = [("figure", "measured", "at most", "")]
+    for one in found:
+        digits = 2 if one["unit"] else 0
+        verdict = "met" if one["met"] else "missed"
+        rows.append((one["text"], _m(one["value"], digits), _m(one["at_most"], digits), verdict))
+    yield from _aligned(rows)
+
+
+def _methods(found: Mapping[str, Any]) -> list[str]:
+    return [name for name, value in found.items() if isinstance(value, dict)]
+
+
+def _m(value: float | None, digits: int = 2) -> str:
+    return "none" if value is None else f"{value:.{digits}f}"
+
+
+def _aligned(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> Iterable[str]:
+    """Rows of cells in columns, numbers to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    for row in rows:
+        cells = (
+            f"{cell:<{width}}" if i in left else f"{cell:>{width}}"
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        yield ("  " + "  ".join(cells)).rstrip()

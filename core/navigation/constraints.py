@@ -19,7 +19,6 @@ from core.navigation.state import (
     A_ZARU,
     A_ZUPT,
     ATT,
-    AXLE_LEVER,
     FUSED,
     GYRO_BIAS,
     I_BLOCKS,
@@ -27,12 +26,12 @@ from core.navigation.state import (
     MOUNT_YAW,
     N_BLOCKS,
     N_STATES,
+    POS,
     REJECTED_GATE,
     REJECTED_RANGE,
     SPEED_SCALE,
     T_NOW,
     VEL,
-    X_AXLE_LEVER,
     X_BA,
     X_BG,
     X_HEAVE,
@@ -47,13 +46,14 @@ from core.navigation.tuning import PARAMETER
 
 _P_GATE = PARAMETER["gate_scalar"]
 _P_NHC = PARAMETER["nhc_sd_mps"]
-_P_NHC_SLIP = PARAMETER["nhc_slip_m"]
+_P_NHC_LEVER = PARAMETER["nhc_lever_m"]
 _P_NHC_SPEED = PARAMETER["nhc_min_speed_mps"]
 _P_HEAVE = PARAMETER["heave_radps"]
 _P_SQUAT = PARAMETER["squat_rad_per_mps2"]
 _P_SPEED = PARAMETER["speed_sd_mps"]
 _P_REVERSE_ODDS = PARAMETER["reverse_log_odds"]
 _P_ZUPT = PARAMETER["zupt_sd_mps"]
+_P_GATE_STILL = PARAMETER["gate_velocity"]
 _P_ZARU = PARAMETER["zaru_sd_radps"]
 
 ROBUST_LIMIT = 25.0
@@ -101,8 +101,9 @@ def _velocity_b(c: Nine, v_n: _Vector) -> _Vector:
 def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray, work: Work) -> None:
     """A car goes where its wheels point: no lateral and no vertical speed in the vehicle's own axes.
 
-    Sideways the box moves with the yaw rate times its distance from the rear axle. Upwards the body moves on its
-    springs, the more the harder it is shaken, and it squats and dives while the road stays: both widen the spread.
+    Sideways the box moves with the yaw rate times its distance from the rear axle, which is not known. Upwards the
+    body moves on its springs, the more the harder it is shaken, and it squats and dives while the road stays. All of
+    these widen the spread.
     """
     n, dx, ph, ph2 = work[0], work[1], work[2], work[3]
     t_ns = ti[T_NOW]
@@ -118,23 +119,23 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     if ti[I_BLOCKS] > 0:
         newest = X_RING + ((ti[I_BLOCKS] - 1) % N_BLOCKS) * 6
         forward_mps2 = x[newest] - x[X_BA] + STANDARD_GRAVITY_MPS2 * c[6]
-    slip = par[_P_NHC_SLIP] * yaw_rate
+    slip = par[_P_NHC_LEVER] * yaw_rate
     heave = x[X_HEAVE] / par[_P_HEAVE]
     squat = par[_P_SQUAT] * forward_mps2 * v_b[0]
     base = par[_P_NHC] * par[_P_NHC]
 
-    at_lateral = (VEL, VEL + 1, VEL + 2, ATT, ATT + 1, ATT + 2, MOUNT_PITCH, MOUNT_YAW, AXLE_LEVER)
-    lateral, row = _row_along(c, v_n, v_b, (-sy, cy, 0.0), (0.0, 0.0, 0.0), (-cy, -sy, 0.0), 1.0, -yaw_rate)
-    s1 = project_nine(p, n, at_lateral, row, ph) + base + slip * slip
-    nu1 = yaw_rate * x[X_AXLE_LEVER] - lateral
+    at = (VEL, VEL + 1, VEL + 2, ATT, ATT + 1, ATT + 2, MOUNT_PITCH, MOUNT_YAW, POS)
+    lateral, row = _row_along(c, v_n, v_b, (-sy, cy, 0.0), (0.0, 0.0, 0.0), (-cy, -sy, 0.0), 1.0, 0.0)
+    s1 = project_nine(p, n, at, row, ph) + base + slip * slip
+    nu1 = -lateral
     ratio1 = nu1 * nu1 / (par[_P_GATE] * s1)
     inverse1 = 0.0 if ratio1 > ROBUST_LIMIT else 1.0 / (s1 * max(ratio1, 1.0))
 
     vertical, row = _row_along(
         c, v_n, v_b, (cy * sp, sy * sp, cp), (cy * cp, sy * cp, -sp), (-sy * sp, cy * sp, 0.0), 1.0, 0.0
     )
-    s2 = project_nine(p, n, at_lateral, row, ph2) + base + heave * heave + squat * squat
-    cross = along_nine(at_lateral, row, ph)
+    s2 = project_nine(p, n, at, row, ph2) + base + heave * heave + squat * squat
+    cross = along_nine(at, row, ph)
     decorrelate(n, ph, ph2, cross * inverse1)
     s2 -= cross * cross * inverse1
     nu2 = -vertical - cross * inverse1 * nu1
@@ -195,9 +196,22 @@ def fuse_speed(
 
 @njit(cache=True, nogil=True)
 def fuse_standstill(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray, work: Work) -> None:
-    """Standing: velocity is zero, and what the gyroscopes read is their bias (Earth rate is below their noise)."""
+    """Standing: velocity is zero, and what the gyroscopes read is their bias (Earth rate is below their noise).
+
+    Not where the filter is sure that it moves: an even creep is as quiet as standing.
+    """
     n, dx, ph = work[0], work[1], work[2]
     t_ns = ti[T_NOW]
+    i0 = VEL * n + VEL
+    snn, see = p[i0] + par[_P_ZUPT] ** 2, p[i0 + n + 1] + par[_P_ZUPT] ** 2
+    sne = p[i0 + 1]
+    vn, ve = x[X_V], x[X_V + 1]
+    ratio = (see * vn * vn - 2.0 * sne * vn * ve + snn * ve * ve) / (snn * see - sne * sne) / par[_P_GATE_STILL]
+    if ratio > 1.0:
+        count(ti, A_ZUPT, REJECTED_GATE)
+        record(ti, work, t_ns, A_ZUPT, 0, -vn, snn, ratio, REJECTED_GATE)
+        record(ti, work, t_ns, A_ZUPT, 1, -ve, see, ratio, REJECTED_GATE)
+        return
     newest = X_RING + ((ti[I_BLOCKS] - 1) % N_BLOCKS) * 6 + 3
     gate = par[_P_GATE]
     variance = par[_P_ZUPT] ** 2
@@ -215,4 +229,3 @@ def fuse_standstill(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray
         record(ti, work, t_ns, A_ZARU, i, nu, s, nu * nu / (gate * s), FUSED)
     count(ti, A_ZARU, FUSED)
     correct(x, dx)
-

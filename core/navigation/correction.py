@@ -11,11 +11,11 @@ from core.navigation.mechanization import turn_mounting
 from core.navigation.state import (
     ACCEL_BIAS,
     ATT,
-    AXLE_LEVER,
     BARO_BIAS,
     GNSS_DELAY,
     GNSS_ERROR,
     GYRO_BIAS,
+    GYRO_SCALE,
     I_COUNTS,
     I_RECORDS,
     MOUNT_PITCH,
@@ -25,13 +25,13 @@ from core.navigation.state import (
     POS,
     SPEED_SCALE,
     VEL,
-    X_AXLE_LEVER,
     X_BA,
     X_BARO_BIAS,
     X_BG,
     X_DR,
     X_GNSS_DELAY,
     X_GNSS_ERROR,
+    X_GYRO_SCALE,
     X_Q,
     X_SCALE,
     X_V,
@@ -60,7 +60,7 @@ def correct(x: FloatArray, dx: FloatArray) -> None:
     x[X_SCALE] += dx[SPEED_SCALE]
     x[X_GNSS_DELAY] += dx[GNSS_DELAY]
     x[X_BARO_BIAS] += dx[BARO_BIAS]
-    x[X_AXLE_LEVER] += dx[AXLE_LEVER]
+    x[X_GYRO_SCALE] += dx[GYRO_SCALE]
     turn_mounting(x, dx[MOUNT_PITCH], dx[MOUNT_YAW])
     hx, hy, hz = 0.5 * dx[ATT], 0.5 * dx[ATT + 1], 0.5 * dx[ATT + 2]
     w, qx, qy, qz = x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3]

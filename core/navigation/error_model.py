@@ -13,7 +13,7 @@ from numba import njit
 
 from core.measurements import FloatArray
 from core.navigation.kalman import Nine
-from core.navigation.state import ACCEL_BIAS, ATT, GYRO_BIAS, POS, VEL
+from core.navigation.state import ACCEL_BIAS, ATT, GYRO_BIAS, GYRO_SCALE, POS, VEL
 
 N_MOVING: Final = 9
 """Position, velocity and attitude: the errors that change with time by themselves."""
@@ -37,31 +37,33 @@ def _position_row(p: FloatArray, m: FloatArray, n: int, i: int, dt: float, k: Tr
 
 
 @njit(cache=True, nogil=True)
-def _velocity_row(p: FloatArray, m: FloatArray, n: int, i: int, k: TransitionRow, g: BiasRow) -> None:
-    """Row i of Phi P for a velocity error: attitude, accelerometer bias, and gyroscope bias by dt^2 / 2."""
+def _velocity_row(p: FloatArray, m: FloatArray, n: int, i: int, k: TransitionRow, g: BiasRow, s: float) -> None:
+    """Row i of Phi P for a velocity error: attitude, accelerometer bias; gyroscope bias and scale by dt^2 / 2."""
     a0, a1, a2, b0, b1, b2 = k
     g0, g1, g2 = g
-    v, at, ba, bg = (VEL + i) * n, ATT * n, ACCEL_BIAS * n, GYRO_BIAS * n
+    v, at, ba, bg, gs = (VEL + i) * n, ATT * n, ACCEL_BIAS * n, GYRO_BIAS * n, GYRO_SCALE * n
     for j in range(n):
         m[v + j] = (
             p[v + j]
             + (a0 * p[at + j] + a1 * p[at + n + j] + a2 * p[at + 2 * n + j])
             + (b0 * p[ba + j] + b1 * p[ba + n + j] + b2 * p[ba + 2 * n + j])
-            + (g0 * p[bg + j] + g1 * p[bg + n + j] + g2 * p[bg + 2 * n + j])
+            + (g0 * p[bg + j] + g1 * p[bg + n + j] + g2 * p[bg + 2 * n + j] + s * p[gs + j])
         )
 
 
 @njit(cache=True, nogil=True)
-def _attitude_row(p: FloatArray, m: FloatArray, n: int, i: int, g: BiasRow) -> None:
-    """Row i of Phi P for an attitude error: gyroscope bias by dt."""
+def _attitude_row(p: FloatArray, m: FloatArray, n: int, i: int, g: BiasRow, s: float) -> None:
+    """Row i of Phi P for an attitude error: gyroscope bias by dt, gyroscope scale by the turn."""
     g0, g1, g2 = g
-    at, bg = (ATT + i) * n, GYRO_BIAS * n
+    at, bg, gs = (ATT + i) * n, GYRO_BIAS * n, GYRO_SCALE * n
     for j in range(n):
-        m[at + j] = p[at + j] + (g0 * p[bg + j] + g1 * p[bg + n + j] + g2 * p[bg + 2 * n + j])
+        m[at + j] = p[at + j] + (g0 * p[bg + j] + g1 * p[bg + n + j] + g2 * p[bg + 2 * n + j] + s * p[gs + j])
 
 
 @njit(cache=True, nogil=True)
-def propagate(p: FloatArray, m: FloatArray, n: int, dt: float, dv: BiasRow, c: Nine, q: FloatArray) -> None:
+def propagate(
+    p: FloatArray, m: FloatArray, n: int, dt: float, dv: BiasRow, c: Nine, turn: float, q: FloatArray
+) -> None:
     """P <- Phi P Phi' + Q in place.
 
     Phi touches the nine rows of position, velocity and attitude only, so the blocks of the slow states
@@ -73,6 +75,7 @@ def propagate(p: FloatArray, m: FloatArray, n: int, dt: float, dv: BiasRow, c: N
     dt : s
     dv : integral of the specific force in n over the interval, m/s
     c : mean C_n_from_b over the interval, by rows
+    turn : integral of the rate about b's z axis over the interval, rad
     q : (n,) variances that the interval adds
     """
     half = 0.5 * dt
@@ -84,6 +87,9 @@ def propagate(p: FloatArray, m: FloatArray, n: int, dt: float, dv: BiasRow, c: N
     gn = (half * (fe * c[6] - fd * c[3]), half * (fe * c[7] - fd * c[4]), half * (fe * c[8] - fd * c[5]))
     ge = (half * (fd * c[0] - fn * c[6]), half * (fd * c[1] - fn * c[7]), half * (fd * c[2] - fn * c[8]))
     gd = (half * (fn * c[3] - fe * c[0]), half * (fn * c[4] - fe * c[1]), half * (fn * c[5] - fe * c[2]))
+    # Gyroscope scale: C e_z turn into attitude, and -[f x] C e_z turn dt / 2 into velocity.
+    tn, te, td = turn * c[2], turn * c[5], turn * c[8]
+    sn, se, sd = -0.5 * (fe * td - fd * te), -0.5 * (fd * tn - fn * td), -0.5 * (fn * te - fe * tn)
     vn = (0.0, fd, -fe, bn[0], bn[1], bn[2])
     ve = (-fd, 0.0, fn, be[0], be[1], be[2])
     vd = (fe, -fn, 0.0, bd[0], bd[1], bd[2])
@@ -94,12 +100,12 @@ def propagate(p: FloatArray, m: FloatArray, n: int, dt: float, dv: BiasRow, c: N
     _position_row(p, m, n, 0, dt, rn)
     _position_row(p, m, n, 1, dt, re)
     _position_row(p, m, n, 2, dt, rd)
-    _velocity_row(p, m, n, 0, vn, gn)
-    _velocity_row(p, m, n, 1, ve, ge)
-    _velocity_row(p, m, n, 2, vd, gd)
-    _attitude_row(p, m, n, 0, bn)
-    _attitude_row(p, m, n, 1, be)
-    _attitude_row(p, m, n, 2, bd)
+    _velocity_row(p, m, n, 0, vn, gn, sn)
+    _velocity_row(p, m, n, 1, ve, ge, se)
+    _velocity_row(p, m, n, 2, vd, gd, sd)
+    _attitude_row(p, m, n, 0, bn, tn)
+    _attitude_row(p, m, n, 1, be, te)
+    _attitude_row(p, m, n, 2, bd, td)
 
     for i in range(N_MOVING):
         row = i * n
@@ -107,6 +113,7 @@ def propagate(p: FloatArray, m: FloatArray, n: int, dt: float, dv: BiasRow, c: N
         t0, t1, t2 = m[row + ATT], m[row + ATT + 1], m[row + ATT + 2]
         w0, w1, w2 = m[row + GYRO_BIAS], m[row + GYRO_BIAS + 1], m[row + GYRO_BIAS + 2]
         a0, a1, a2 = m[row + ACCEL_BIAS], m[row + ACCEL_BIAS + 1], m[row + ACCEL_BIAS + 2]
+        s = m[row + GYRO_SCALE]
         p[row] = m[row] + dt * v0 + (rn[1] * t1 + rn[2] * t2) + (rn[3] * a0 + rn[4] * a1 + rn[5] * a2)
         p[row + 1] = m[row + 1] + dt * v1 + (re[0] * t0 + re[2] * t2) + (re[3] * a0 + re[4] * a1 + re[5] * a2)
         p[row + 2] = m[row + 2] + dt * v2 + (rd[0] * t0 + rd[1] * t1) + (rd[3] * a0 + rd[4] * a1 + rd[5] * a2)
@@ -114,23 +121,23 @@ def propagate(p: FloatArray, m: FloatArray, n: int, dt: float, dv: BiasRow, c: N
             v0
             + (vn[1] * t1 + vn[2] * t2)
             + (vn[3] * a0 + vn[4] * a1 + vn[5] * a2)
-            + (gn[0] * w0 + gn[1] * w1 + gn[2] * w2)
+            + (gn[0] * w0 + gn[1] * w1 + gn[2] * w2 + sn * s)
         )
         p[row + 4] = (
             v1
             + (ve[0] * t0 + ve[2] * t2)
             + (ve[3] * a0 + ve[4] * a1 + ve[5] * a2)
-            + (ge[0] * w0 + ge[1] * w1 + ge[2] * w2)
+            + (ge[0] * w0 + ge[1] * w1 + ge[2] * w2 + se * s)
         )
         p[row + 5] = (
             v2
             + (vd[0] * t0 + vd[1] * t1)
             + (vd[3] * a0 + vd[4] * a1 + vd[5] * a2)
-            + (gd[0] * w0 + gd[1] * w1 + gd[2] * w2)
+            + (gd[0] * w0 + gd[1] * w1 + gd[2] * w2 + sd * s)
         )
-        p[row + 6] = t0 + (bn[0] * w0 + bn[1] * w1 + bn[2] * w2)
-        p[row + 7] = t1 + (be[0] * w0 + be[1] * w1 + be[2] * w2)
-        p[row + 8] = t2 + (bd[0] * w0 + bd[1] * w1 + bd[2] * w2)
+        p[row + 6] = t0 + (bn[0] * w0 + bn[1] * w1 + bn[2] * w2 + tn * s)
+        p[row + 7] = t1 + (be[0] * w0 + be[1] * w1 + be[2] * w2 + te * s)
+        p[row + 8] = t2 + (bd[0] * w0 + bd[1] * w1 + bd[2] * w2 + td * s)
         for j in range(N_MOVING, n):
             p[row + j] = m[row + j]
             p[j * n + i] = m[row + j]

@@ -286,9 +286,7 @@ class NavigationFilter:
 
         n_aids, constraints = len(aids), instants(tuning.constraint_interval_s)
         rows = Track(*_table(instants(tuning.output_interval_s), len(TRACK_COLUMNS)))
-        log = AidRecords(
-            *_table(_RECORDS_A_CONSTRAINT * constraints + _RECORDS_A_FIX * n_aids, len(RECORD_COLUMNS))
-        )
+        log = AidRecords(*_table(_RECORDS_A_CONSTRAINT * constraints + _RECORDS_A_FIX * n_aids, len(RECORD_COLUMNS)))
         n_nodes = 0
         if self.recorder is not None:
             n_nodes = instants(tuning.covariance_interval_s) + constraints + n_aids
@@ -414,7 +412,7 @@ class NavigationFilter:
         sd[state.MOUNT_PITCH] = sd[state.MOUNT_YAW] = mount
         sd[state.GNSS_DELAY] = t.gnss_delay_given_sd_s if self.config.gnss_time_offset_s else t.gnss_delay_sd_s
         sd[state.BARO_BIAS] = t.baro_bias_sd_m
-        sd[state.AXLE_LEVER] = t.axle_lever_sd_m
+        sd[state.GYRO_SCALE] = t.gyro_scale_sd
         x[state.X_WHITE_SHARE] = t.gnss_white_share
         x[state.X_WHITE_FIXES] = WHITE_SHARE_FIXES
         # The position is a fix: what of that fix is slow error is the position's as well, with its sign turned.
@@ -477,7 +475,7 @@ KEPT_STATES: Final = (
     state.MOUNT_PITCH,
     state.MOUNT_YAW,
     state.GNSS_DELAY,
-    state.AXLE_LEVER,
+    state.GYRO_SCALE,
 )
 """What a gap does not change, besides the gyroscopes' biases."""
 

@@ -30,11 +30,11 @@ from core.navigation.state import (
     A_SPEED,
     ACCEL_BIAS,
     ATT,
-    AXLE_LEVER,
     BARO_BIAS,
     GNSS_DELAY,
     GNSS_ERROR,
     GYRO_BIAS,
+    GYRO_SCALE,
     I_BLOCK,
     I_BROKEN,
     I_NODES,
@@ -70,9 +70,11 @@ from core.navigation.state import (
     X_DV,
     X_F,
     X_G,
+    X_GYRO_SCALE,
     X_LAT,
     X_Q,
     X_SATURATED_S,
+    X_TURN,
     X_V,
     X_W,
 )
@@ -166,18 +168,18 @@ def _catch_up(
     q[SPEED_SCALE] = par[_SCALE_WALK] ** 2 * dt
     q[MOUNT_PITCH] = par[_MOUNT_WALK] ** 2 * dt
     q[MOUNT_YAW] = par[_MOUNT_WALK] ** 2 * dt
-    q[GNSS_DELAY], q[AXLE_LEVER] = 0.0, 0.0
+    q[GNSS_DELAY], q[GYRO_SCALE] = 0.0, 0.0
     q[BARO_BIAS] = par[_BARO_WALK] ** 2 * dt
     for i in range(3):
         q[GNSS_ERROR + i] = 0.0
     if ti[I_NODES] < node_t_ns.shape[0]:
         node_t_ns[ti[I_NODES]] = ti[T_NOW]
-        open_node(x, nodes[ti[I_NODES]], dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, q)
+        open_node(x, nodes[ti[I_NODES]], dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, x[X_TURN], q)
         ti[I_NODES] += 1
     x[X_DECAY], x[X_DECAY_VAR], x[X_DECAY_VAR + 1], x[X_DECAY_VAR + 2] = 1.0, 0.0, 0.0, 0.0
     ti[I_BROKEN] = 0
-    propagate(p, m, n, dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, q)
-    x[X_DV], x[X_DV + 1], x[X_DV + 2] = 0.0, 0.0, 0.0
+    propagate(p, m, n, dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, x[X_TURN], q)
+    x[X_DV], x[X_DV + 1], x[X_DV + 2], x[X_TURN] = 0.0, 0.0, 0.0, 0.0
     x[X_SATURATED_S], x[X_BRIDGED_S] = 0.0, 0.0
     ti[T_COV] = ti[T_NOW]
 
@@ -297,7 +299,8 @@ def run(
     bax, bay, baz = x[X_BA], x[X_BA + 1], x[X_BA + 2]
     gn, ge, gd = x[X_G], x[X_G + 1], x[X_G + 2]
     rn, re, rd = x[X_DR], x[X_DR + 1], x[X_DR + 2]
-    sn, se, sd = x[X_DV], x[X_DV + 1], x[X_DV + 2]
+    sn, se, sd, turn = x[X_DV], x[X_DV + 1], x[X_DV + 2], x[X_TURN]
+    scale_z = 1.0 + x[X_GYRO_SCALE]
     fx, fy, fz = x[X_F], x[X_F + 1], x[X_F + 2]
     wx, wy, wz = x[X_W], x[X_W + 1], x[X_W + 2]
     s0, s1, s2 = x[X_BLOCK], x[X_BLOCK + 1], x[X_BLOCK + 2]
@@ -321,7 +324,11 @@ def run(
         nwx, nwy, nwz = omega_b[k, 0], omega_b[k, 1], omega_b[k, 2]
 
         # Trapezoid over the step, rotated by half of its own turn (Titterton & Weston, sec. 11.2).
-        ax, ay, az = (0.5 * (wx + nwx) - bgx) * dt, (0.5 * (wy + nwy) - bgy) * dt, (0.5 * (wz + nwz) - bgz) * dt
+        ax, ay, az = (
+            (0.5 * (wx + nwx) - bgx) * dt,
+            (0.5 * (wy + nwy) - bgy) * dt,
+            (0.5 * (wz + nwz) - bgz) * dt * scale_z,
+        )
         ux, uy, uz = (0.5 * (fx + nfx) - bax) * dt, (0.5 * (fy + nfy) - bay) * dt, (0.5 * (fz + nfz) - baz) * dt
         px = ux + 0.5 * (ay * uz - az * uy)
         py = uy + 0.5 * (az * ux - ax * uz)
@@ -330,7 +337,7 @@ def run(
         dvn = c0 * px + c1 * py + c2 * pz
         dve = c3 * px + c4 * py + c5 * pz
         dvd = c6 * px + c7 * py + c8 * pz
-        sn, se, sd = sn + dvn, se + dve, sd + dvd
+        sn, se, sd, turn = sn + dvn, se + dve, sd + dvd, turn + az
         dvn, dve, dvd = dvn + gn * dt, dve + ge * dt, dvd + gd * dt
         rn, re, rd = rn + (vn + 0.5 * dvn) * dt, re + (ve + 0.5 * dve) * dt, rd + (vd + 0.5 * dvd) * dt
         vn, ve, vd = vn + dvn, ve + dve, vd + dvd
@@ -351,7 +358,7 @@ def run(
             x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3] = qw, qx, qy, qz
             x[X_V], x[X_V + 1], x[X_V + 2] = vn, ve, vd
             x[X_DR], x[X_DR + 1], x[X_DR + 2] = rn, re, rd
-            x[X_DV], x[X_DV + 1], x[X_DV + 2] = sn, se, sd
+            x[X_DV], x[X_DV + 1], x[X_DV + 2], x[X_TURN] = sn, se, sd, turn
             x[X_F], x[X_F + 1], x[X_F + 2] = fx, fy, fz
             x[X_W], x[X_W + 1], x[X_W + 2] = wx, wy, wz
             ti[T_NOW] = t
@@ -399,7 +406,8 @@ def run(
             bax, bay, baz = x[X_BA], x[X_BA + 1], x[X_BA + 2]
             gn, ge, gd = x[X_G], x[X_G + 1], x[X_G + 2]
             rn, re, rd = x[X_DR], x[X_DR + 1], x[X_DR + 2]
-            sn, se, sd = x[X_DV], x[X_DV + 1], x[X_DV + 2]
+            sn, se, sd, turn = x[X_DV], x[X_DV + 1], x[X_DV + 2], x[X_TURN]
+            scale_z = 1.0 + x[X_GYRO_SCALE]
             next_event = min(ti[T_NEXT_BLOCK], min(ti[T_NEXT_CONSTRAINT], ti[T_NEXT_OUTPUT]))
             if i_aid < n_aids:
                 next_event = min(next_event, aid_t_ns[i_aid])
@@ -417,7 +425,7 @@ def run(
     x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3] = qw, qx, qy, qz
     x[X_V], x[X_V + 1], x[X_V + 2] = vn, ve, vd
     x[X_DR], x[X_DR + 1], x[X_DR + 2] = rn, re, rd
-    x[X_DV], x[X_DV + 1], x[X_DV + 2] = sn, se, sd
+    x[X_DV], x[X_DV + 1], x[X_DV + 2], x[X_TURN] = sn, se, sd, turn
     x[X_F], x[X_F + 1], x[X_F + 2] = fx, fy, fz
     x[X_W], x[X_W + 1], x[X_W + 2] = wx, wy, wz
     x[X_BLOCK], x[X_BLOCK + 1], x[X_BLOCK + 2] = s0, s1, s2

@@ -16,7 +16,6 @@ from core.navigation.state import (
     I_BROKEN,
     N_STATES,
     X_ALT,
-    X_AXLE_LEVER,
     X_BARO_BIAS,
     X_BG,
     X_DECAY,
@@ -24,6 +23,7 @@ from core.navigation.state import (
     X_DR,
     X_GNSS_DELAY,
     X_GNSS_ERROR,
+    X_GYRO_SCALE,
     X_LAT,
     X_LON,
     X_M_PER_RAD,
@@ -43,7 +43,8 @@ N_NOMINAL: Final = 25
 N_DT: Final = 0  # s since the row before
 N_DV: Final = 1  # integral of the specific force in n, 3
 N_C: Final = 4  # mean C_n_from_b, 9
-N_ADDED: Final = 13  # variances that the interval added, N_STATES
+N_TURN: Final = 13  # integral of the rate about b's z axis, rad
+N_ADDED: Final = 14  # variances that the interval added, N_STATES
 N_DECAY: Final = N_ADDED + N_STATES  # factor on the fixes' slow error
 N_DECAY_VAR: Final = N_DECAY + 1  # variances that were added to it, 3
 N_BROKEN: Final = N_DECAY_VAR + 3  # 1 if the position was reset here
@@ -68,18 +69,19 @@ def _put_nominal(x: FloatArray, row: FloatArray, at: int) -> None:
     slow += X_MOUNT_YAW + 1 - X_BG
     for i in range(3):
         row[slow + i] = x[X_GNSS_ERROR + i]
-    row[slow + 3], row[slow + 4], row[slow + 5] = x[X_GNSS_DELAY], x[X_BARO_BIAS], x[X_AXLE_LEVER]
+    row[slow + 3], row[slow + 4], row[slow + 5] = x[X_GNSS_DELAY], x[X_BARO_BIAS], x[X_GYRO_SCALE]
 
 
 @njit(cache=True, nogil=True)
 def open_node(
-    x: FloatArray, row: FloatArray, dt: float, dv: tuple[float, float, float], c: Nine, added: FloatArray
+    x: FloatArray, row: FloatArray, dt: float, dv: tuple[float, float, float], c: Nine, turn: float, added: FloatArray
 ) -> None:
     """Write the interval and the state before any aid."""
     row[N_DT] = dt
     row[N_DV], row[N_DV + 1], row[N_DV + 2] = dv
     for i in range(9):
         row[N_C + i] = c[i]
+    row[N_TURN] = turn
     for i in range(N_STATES):
         row[N_ADDED + i] = added[i]
     _put_nominal(x, row, N_BEFORE)

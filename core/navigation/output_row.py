@@ -42,9 +42,7 @@ _COASTING, _AIDED = int(Mode.COASTING), int(Mode.AIDED)
 
 
 @njit(cache=True, nogil=True)
-def put_row(
-    x: FloatArray, ti: TimeArray, p: FloatArray, lever_b: FloatArray, par: FloatArray, row: FloatArray
-) -> None:
+def put_row(x: FloatArray, ti: TimeArray, p: FloatArray, lever_b: FloatArray, par: FloatArray, row: FloatArray) -> None:
     """One row of the track, of the vehicle's body: ``lever_b`` is the inertial sensor's place in it."""
     n = N_STATES
     c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])

@@ -23,7 +23,7 @@ SLOW_COLUMNS: Final = (
     "gnss_error_d_m",
     "gnss_delay_s",
     "baro_bias_m",
-    "axle_lever_m",
+    "gyro_scale_z",
 )
 """The states that change slowly, in the order of the filter's error states from ``state.GYRO_BIAS`` on."""
 

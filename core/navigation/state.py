@@ -3,7 +3,7 @@
 The error is truth minus estimate. Position, velocity and attitude errors are in n; C_n_from_b(true) =
 (I + [phi x]) C_n_from_b(estimate). Fifteen navigation states are followed by what makes the aids usable: the
 scale of the wheel speed, the pitch and yaw of the box in the car, the receiver's error that hangs together in time
-and its delay, the barometer's bias, and how far the box sits before the rear axle.
+and its delay, the barometer's bias, and the scale of the gyroscope that turns with the car.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MOUNT_YAW: Final = 17
 GNSS_ERROR: Final = 18  # the fixes' error against the truth, n, slowly varying part
 GNSS_DELAY: Final = 21
 BARO_BIAS: Final = 22
-AXLE_LEVER: Final = 23
+GYRO_SCALE: Final = 23  # of the rate about b's z axis
 N_STATES: Final = 24
 
 # The nominal state ``x``, float64.
@@ -56,7 +56,7 @@ X_MOUNT_SC: Final = 60  # sine and cosine of the mounting's pitch, then of its y
 X_GNSS_ERROR: Final = 64  # slowly varying error of the fixes in n, m, 3
 X_GNSS_DELAY: Final = 67  # a fix is of this long before its time, s
 X_BARO_BIAS: Final = 68  # barometric minus ellipsoidal height, m
-X_AXLE_LEVER: Final = 69  # the inertial sensor before the rear axle, m
+X_GYRO_SCALE: Final = 69  # share by which the rate about z is larger than measured
 X_WHITE_SHARE: Final = 70  # variance of the fixes' white error over the stated one, as learnt
 X_WHITE_FIXES: Final = 71  # how many fixes it was learnt from, up to a limit
 X_SLOW_VAR: Final = 72  # variance of the slowly varying error at the last fix, horizontal and vertical, m2
@@ -66,7 +66,8 @@ X_HEAVE: Final = 78  # spread of the vertical block means over the last second, 
 X_FIELD: Final = 79  # magnitude of the magnetic field as learnt, uT; 0 before
 X_LAST_NU: Final = 80  # horizontal innovation of the last fix over its sd, 2
 X_ECHO: Final = 82  # mean product of successive innovations over their sd, as learnt
-X_RING: Final = 83  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
+X_TURN: Final = 83  # integral of the rate about z since the covariance was last propagated, rad
+X_RING: Final = 84  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
 N_BLOCKS: Final = 10
 NX: Final = X_RING + 6 * N_BLOCKS
 

@@ -39,6 +39,9 @@ class Tuning(Tunables):
     accel_bias_sd_mps2: float = tunable(
         0.15, unit="m/s2", low=1e-6, high=5.0, source="turn-on bias 15 mg after calibration"
     )
+    gyro_scale_sd: float = tunable(
+        0.01, unit="1", low=0, high=0.1, source="sensitivity of consumer gyroscopes 1-3 %, after calibration below 1 %"
+    )
     speed_scale_sd: float = tunable(0.03, unit="1", low=1e-6, high=0.3, source="tyre wear and pressure 2-3 %")
     speed_scale_walk_rts: float = tunable(1.0e-5, unit="1/sqrt(s)", low=0, high=1e-2, source=_CHOICE)
     mount_angle_sd_rad: float = tunable(0.09, unit="rad", low=1e-5, high=0.5, source="box fitted by eye within 5 deg")
@@ -119,17 +122,14 @@ class Tuning(Tunables):
     nhc_sd_mps: float = tunable(
         0.25, unit="m/s", low=0.01, high=5, source="lateral slip and suspension of a car; " + _CHOICE
     )
-    nhc_slip_m: float = tunable(
-        0.3, unit="m", low=0, high=10, source="choice: tyres slip sideways in a turn, as if the rear axle moved by this"
+    nhc_lever_m: float = tunable(
+        1.5, unit="m", low=0, high=10, source="box to rear axle when unknown: lateral speed is yaw rate times this"
     )
     heave_radps: float = tunable(
         8.0, unit="rad/s", low=1, high=50, source="body on its springs at 1.3 Hz: speed is acceleration over this"
     )
     squat_rad_per_mps2: float = tunable(
         0.004, unit="rad s2/m", low=0, high=0.05, source="a car pitches by 2 to 3 deg a g of braking"
-    )
-    axle_lever_sd_m: float = tunable(
-        1.5, unit="m", low=0, high=10, source="box between rear seat and bumper, the rear axle's place unknown"
     )
     nhc_min_speed_mps: float = tunable(1.0, unit="m/s", low=0, high=10, source=_CHOICE)
     constraint_interval_s: float = tunable(0.2, unit="s", low=0.05, high=5, source="5 Hz, as the design measured")

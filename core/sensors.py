@@ -1,9 +1,10 @@
-"""The error model of an inertial triad: measured = SF M X + B + w, and its inverse (seed 1, eq. 1-4)."""
+"""The error model of an inertial triad: measured = SF M X + B + w, its inverse (seed 1, eq. 1-4), and the noise w."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from core.errors import InvalidInputError
 from core.measurements import FloatArray
 
 Triple = tuple[float, float, float]
+
+ALLAN_FLOOR: Final = math.sqrt(2.0 * math.log(2.0) / math.pi)
+"""Floor of the Allan deviation over the bias instability that it stands for, 0.664 (IEEE Std 952-1997, C.1.3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,3 +68,21 @@ class TriadCalibration:
         true[:, 1] = (measured[:, 1] - self.bias[1]) / self.scale[1] + mx * true[:, 2]
         true[:, 0] = (measured[:, 0] - self.bias[0]) / self.scale[0] + mz * true[:, 1] - my * true[:, 2]
         return true
+
+
+@dataclass(frozen=True, slots=True)
+class TriadNoise:
+    """Noise of a triad at rest, its worst axis; None where nothing is stated. The signal is m/s2 or rad/s.
+
+    Parameters
+    ----------
+    random_walk : white noise, signal/sqrt(Hz)
+    bias_instability : flicker, signal
+    rate_random_walk : walk of the bias, signal/sqrt(s)
+    turn_on_bias_sd : spread of the bias between turn-ons, signal
+    """
+
+    random_walk: float | None = None
+    bias_instability: float | None = None
+    rate_random_walk: float | None = None
+    turn_on_bias_sd: float | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
@@ -45,6 +45,71 @@ class Calibration(Model):
     gyroscope: SensorCalibration | None = Field(default=None, description="Bias in rad/s.")
 
 
+_Figure = TypeVar("_Figure")
+PerAxis = tuple[_Figure, _Figure, _Figure]
+"""The sensor's x, y, z."""
+
+# Each limit is some five times the worst sensor that a box has, and below what a figure in deg, hours or g would be.
+AccelDensity = Annotated[float, Field(gt=0, le=0.05, allow_inf_nan=False)]
+AccelInstability = Annotated[float, Field(ge=0, le=0.1, allow_inf_nan=False)]
+AccelWalk = Annotated[float, Field(ge=0, le=0.01, allow_inf_nan=False)]
+AccelBias = Annotated[float, Field(gt=0, le=3, allow_inf_nan=False)]
+GyroDensity = Annotated[float, Field(gt=0, le=0.005, allow_inf_nan=False)]
+GyroInstability = Annotated[float, Field(ge=0, le=0.01, allow_inf_nan=False)]
+GyroWalk = Annotated[float, Field(ge=0, le=0.001, allow_inf_nan=False)]
+GyroBias = Annotated[float, Field(gt=0, le=0.2, allow_inf_nan=False)]
+
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Interval = tuple[NotNegative, NotNegative]
+
+
+class NoiseIntervals(Model):
+    """95 % intervals, low and high of each axis: they say how long the recording was; the filter goes by the values."""
+
+    random_walk: PerAxis[Interval] | None = None
+    bias_instability: PerAxis[Interval] | None = None
+    rate_random_walk: PerAxis[Interval] | None = None
+
+
+class AccelerometerNoise(Model):
+    """Noise of the accelerometers at rest; what is left out is taken to be a consumer sensor's."""
+
+    random_walk: PerAxis[AccelDensity] | None = Field(
+        default=None, description="White noise (velocity random walk), m/s²/√Hz = m/s/√s; 100 µg/√Hz is 0.00098."
+    )
+    bias_instability: PerAxis[AccelInstability] | None = Field(
+        default=None, description="Flicker: floor of the Allan deviation over 0.664, m/s²."
+    )
+    rate_random_walk: PerAxis[AccelWalk] | None = Field(default=None, description="Walk of the bias, m/s²/√s.")
+    turn_on_bias_sd: PerAxis[AccelBias] | None = Field(
+        default=None, description="Spread of the bias from one turn-on to the next, after calibration, m/s²."
+    )
+    interval95: NoiseIntervals | None = None
+
+
+class GyroscopeNoise(Model):
+    """Noise of the gyroscopes at rest; what is left out is taken to be a consumer sensor's."""
+
+    random_walk: PerAxis[GyroDensity] | None = Field(
+        default=None, description="White noise (angle random walk), rad/s/√Hz = rad/√s; 0.3 °/√h is 0.000087."
+    )
+    bias_instability: PerAxis[GyroInstability] | None = Field(
+        default=None, description="Flicker: floor of the Allan deviation over 0.664, rad/s; 10 °/h is 0.000048."
+    )
+    rate_random_walk: PerAxis[GyroWalk] | None = Field(default=None, description="Walk of the bias, rad/s/√s.")
+    turn_on_bias_sd: PerAxis[GyroBias] | None = Field(
+        default=None, description="Spread of the bias from one turn-on to the next, after calibration, rad/s."
+    )
+    interval95: NoiseIntervals | None = None
+
+
+class SensorNoise(Model):
+    """What is known of the inertial sensors' noise: the block that ``telefuse noise --json`` prints."""
+
+    accelerometer: AccelerometerNoise | None = None
+    gyroscope: GyroscopeNoise | None = None
+
+
 class VehicleConfig(Model):
     """How the box sits in the vehicle and how it is to be treated; all of it may be left out."""
 
@@ -70,6 +135,10 @@ class VehicleConfig(Model):
     vehicle_class: Literal["car", "motorcycle", "van", "truck", "bus"] = "car"
     detector: Literal["telefuse", "paper"] = Field(default="telefuse", description="Which accident detector decides.")
     calibration: Calibration | None = None
+    noise: SensorNoise | None = Field(
+        default=None,
+        description="Noise of the inertial sensors at rest; the filter adds what a moving car does to them.",
+    )
 
 
 class VehicleUpdate(Model):

@@ -123,6 +123,7 @@ class SimulatedDrive:
     rate_hz: float
     mounting_rpy_rad: tuple[float, float, float]
     gnss_lever_arm_b_m: tuple[float, float, float]
+    device: Device
     measurements: Measurements
     trajectory: Trajectory
     truth: Mapping[str, Any]
@@ -175,6 +176,7 @@ def simulate(
         rate_hz=rate_hz,
         mounting_rpy_rad=chosen.device.mounting_rpy_rad,
         gnss_lever_arm_b_m=chosen.gnss_lever_arm_b_m,
+        device=chosen.device,
         measurements=Measurements(
             imu_t_ns=absolute_ns(trajectory.t_s),
             f_s=f_s,

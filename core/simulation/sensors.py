@@ -13,7 +13,7 @@ from core.atmosphere import standard_density_kgpm3, standard_pressure_pa
 from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FloatArray
 from core.rotation import matrix_from_rpy
-from core.sensors import TriadCalibration, Triple
+from core.sensors import ALLAN_FLOOR, TriadCalibration, TriadNoise, Triple
 from core.simulation.trajectory import Trajectory, matrices_b_from_n, rotate
 from core.tunables import Tunables, tunable
 
@@ -53,6 +53,17 @@ class TriadErrors(Tunables):
     def step(self) -> float:
         """Least step of the 16-bit converter."""
         return self.full_scale / 32768.0
+
+    @property
+    def noise(self) -> TriadNoise:
+        """What a recording at rest tells: its instability is the floor that noise and the bias' walk make together.
+
+        The Allan variance N^2 / t + K^2 t / 3 is least at 2 N K / sqrt(3). The spread between turn-ons is the drawn
+        bias and the drift that is under way.
+        """
+        walk = self.instability_sd * math.sqrt(2.0 / self.instability_s)
+        floor = math.sqrt(2.0 * self.random_walk * walk / math.sqrt(3.0))
+        return TriadNoise(self.random_walk, floor / ALLAN_FLOOR, walk, math.hypot(self.bias_sd, self.instability_sd))
 
 
 ACCELEROMETER: Final = TriadErrors()

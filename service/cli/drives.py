@@ -1,19 +1,21 @@
-"""What the commands that work on a drive folder share: arguments, reading, calibration, a session's settings."""
+"""What the commands that work on a drive folder share: arguments, reading, what is known of the box, settings."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pydantic
 
 from core.session import SessionConfig
-from schemas.vehicles import Calibration
+from schemas.vehicles import Calibration, Model, SensorNoise
 from service.cli.progress import Progress
 from service.errors import UsageError
 from service.recordings.drive_folder import Drive, read_drive
 from service.recordings.fusing import Fused, Outage, fuse, fuse_config, vehicle_config
+
+_Settings = TypeVar("_Settings", bound=Model)
 
 
 def add_drive(parser: argparse.ArgumentParser) -> None:
@@ -22,28 +24,34 @@ def add_drive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--calibration", type=Path, metavar="FILE", help="calibration of the box, as JSON (default: as measured)"
     )
+    parser.add_argument(
+        "--noise",
+        type=Path,
+        metavar="FILE",
+        help="noise of its sensors, as JSON (default: as drive.toml says, if it does)",
+    )
 
 
-def read_calibration(path: Path | None) -> Calibration | None:
-    """Read a calibration file; raises UsageError that names what is wrong in it."""
+def read_settings(path: Path | None, form: type[_Settings], expected: str) -> _Settings | None:
+    """Read a JSON file of a part of a vehicle's settings; raises UsageError that names what is wrong in it."""
     if path is None:
         return None
     try:
-        return Calibration.model_validate_json(path.read_bytes())
+        return form.model_validate_json(path.read_bytes())
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
     except pydantic.ValidationError as error:
         first: Any = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "the document"
-        raise UsageError(
-            f"{path}: {where}: {first['msg']}; expected a calibration as PUT …/calibration takes"
-        ) from error
+        raise UsageError(f"{path}: {where}: {first['msg']}; expected {expected}") from error
 
 
 def open_drive(arguments: argparse.Namespace, **switches: Any) -> tuple[Drive, SessionConfig]:
     """The drive and the settings of its session; ``switches`` as of ``fuse_config``."""
     drive = read_drive(arguments.drive)
-    return drive, fuse_config(vehicle_config(drive, read_calibration(arguments.calibration)), **switches)
+    calibration = read_settings(arguments.calibration, Calibration, "a calibration as PUT …/calibration takes")
+    noise = read_settings(arguments.noise, SensorNoise, "what 'telefuse noise --json' prints: SI units")
+    return drive, fuse_config(vehicle_config(drive, calibration, noise), **switches)
 
 
 def fuse_with_progress(drive: Drive, config: SessionConfig, outages: list[Outage]) -> Fused:

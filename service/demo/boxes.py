@@ -16,6 +16,7 @@ from service.blackbox.http_link import HttpLink
 from service.blackbox.zenoh_link import ZenohLink
 from service.demo.service_process import ServiceProcess
 from service.recordings.drive_folder import Drive
+from service.recordings.fusing import vehicle_config
 from service.recordings.packets import drive_packets
 from service.recordings.simulated import drive_of
 from service.storage.tenants import DEFAULT_TENANT
@@ -41,14 +42,7 @@ class Box:
     @property
     def config(self) -> VehicleConfig:
         """How the box sits in its vehicle, as its drive says."""
-        imu, gnss = self.drive.imu, self.drive.gnss
-        return VehicleConfig(
-            mounting_rpy_deg=imu.mounting_rpy_deg,
-            imu_lever_arm_m=imu.lever_arm_m,
-            gnss_lever_arm_m=gnss.lever_arm_m,
-            gnss_time_offset_s=gnss.time_offset_s,
-            accel_full_scale_mps2=imu.accel_full_scale_mps2,
-        )
+        return vehicle_config(self.drive)
 
     def link(self, service: ServiceProcess) -> Link:
         """Its way to the service."""

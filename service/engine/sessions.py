@@ -9,10 +9,12 @@ import numpy as np
 
 from core.measurements import GNSS, GNSS_COLUMNS, Measurements
 from core.navigation.filter import FilterConfig
+from core.navigation.sensor_noise import matched_tuning
+from core.navigation.tuning import Tuning
 from core.preparation import Mounting
-from core.sensors import TriadCalibration
+from core.sensors import TriadCalibration, TriadNoise
 from core.session import Session, SessionConfig
-from schemas.vehicles import SensorCalibration, VehicleConfig
+from schemas.vehicles import AccelerometerNoise, GyroscopeNoise, SensorCalibration, SensorNoise, VehicleConfig
 
 DETECTORS: Final[tuple[Literal["telefuse", "paper"], ...]] = ("telefuse", "paper")
 EARTH_RADIUS_M: Final = 6.37e6
@@ -30,6 +32,7 @@ def session_config(config: VehicleConfig) -> SessionConfig:
         mounting=_mounting(config.mounting_rpy_deg),
         accel_full_scale_mps2=math.nan if full_scale_mps2 is None else full_scale_mps2,
         filter=FilterConfig(
+            tuning=_tuning(config.noise),
             imu_lever_b_m=config.imu_lever_arm_m,
             antenna_lever_b_m=config.gnss_lever_arm_m,
             gnss_time_offset_s=config.gnss_time_offset_s,
@@ -74,6 +77,20 @@ def _triad(calibration: SensorCalibration | None) -> TriadCalibration:
     if calibration is None:
         return TriadCalibration()
     return TriadCalibration(calibration.scale, calibration.misalignment, calibration.bias)
+
+
+def _tuning(noise: SensorNoise | None) -> Tuning:
+    if noise is None:
+        return Tuning()
+    return matched_tuning(Tuning(), _worst_axis(noise.accelerometer), _worst_axis(noise.gyroscope))
+
+
+def _worst_axis(noise: AccelerometerNoise | GyroscopeNoise | None) -> TriadNoise:
+    """The filter knows one noise a triad: too much of it on two axes costs less than too little on one."""
+    if noise is None:
+        return TriadNoise()
+    figures = (noise.random_walk, noise.bias_instability, noise.rate_random_walk, noise.turn_on_bias_sd)
+    return TriadNoise(*(None if axes is None else max(axes) for axes in figures))
 
 
 def _mounting(rpy_deg: tuple[float, float, float] | None) -> Mounting:

@@ -11,6 +11,9 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final, Literal
 
+import pydantic
+
+from schemas.vehicles import SensorNoise
 from service.errors import RecordingError
 
 Vector = tuple[float, float, float]
@@ -31,7 +34,7 @@ class ImuSetup:
     mounting_rpy_deg: Vector | None = None
     lever_arm_m: Vector = _NO_LEVER_ARM
     accel_full_scale_mps2: float | None = None
-    noise: Mapping[str, Any] = field(default_factory=dict)
+    noise: SensorNoise | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +88,7 @@ def read_header(path: Path) -> DriveHeader:
             mounting_rpy_deg=imu.vector("mounting_rpy_deg"),
             lever_arm_m=imu.vector("lever_arm_m") or _NO_LEVER_ARM,
             accel_full_scale_mps2=imu.number("accel_full_scale_mps2", above=0.0),
-            noise=dict(imu.table("noise").values),
+            noise=imu.table("noise").noise() if "noise" in imu.values else None,
         ),
         gnss=GnssSetup(
             lever_arm_m=gnss.vector("lever_arm_m") or _NO_LEVER_ARM,
@@ -113,7 +116,7 @@ def header_text(header: DriveHeader) -> str:
             "lever_arm_m": header.imu.lever_arm_m,
             "accel_full_scale_mps2": header.imu.accel_full_scale_mps2,
         },
-        "imu.noise": dict(header.imu.noise),
+        **_noise_tables(header.imu.noise),
         "gnss": {"lever_arm_m": header.gnss.lever_arm_m, "time_offset_s": header.gnss.time_offset_s},
         "driver": {"birth_year": header.driver.birth_year, "age": header.driver.age, "sex": header.driver.sex},
     }
@@ -124,6 +127,21 @@ def header_text(header: DriveHeader) -> str:
             lines += [f"\n[{title}]"] if title else []
             lines += [f"{key} = {_toml_value(value)}" for key, value in present.items()]
     return "\n".join(lines) + "\n"
+
+
+def _noise_tables(noise: SensorNoise | None) -> dict[str, dict[str, Any]]:
+    """``[imu.noise.accelerometer]`` and its like, down to the tables of intervals."""
+    tables: dict[str, dict[str, Any]] = {}
+
+    def add(title: str, values: dict[str, Any]) -> None:
+        tables[title] = {key: value for key, value in values.items() if not isinstance(value, dict)}
+        for key, value in values.items():
+            if isinstance(value, dict):
+                add(f"{title}.{key}", value)
+
+    if noise is not None:
+        add("imu.noise", noise.model_dump(exclude_none=True))
+    return tables
 
 
 def _toml_value(value: object) -> str:
@@ -182,6 +200,17 @@ class _Table:
         ):
             raise self._refuse(key, "a list of three numbers")
         return float(numbers[0]), float(numbers[1]), float(numbers[2])
+
+    def noise(self) -> SensorNoise:
+        try:
+            return SensorNoise.model_validate(self.values)
+        except pydantic.ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(("imu.noise", *(str(part) for part in first["loc"])))
+            raise RecordingError(
+                f"{self.path}: {where} is {first['input']!r}: {first['msg']}; expected the block that 'telefuse noise' "
+                "prints, in m/s2, rad/s and their densities"
+            ) from error
 
     def sex(self, key: str) -> Literal["M", "F"] | None:
         value = self.values.get(key)

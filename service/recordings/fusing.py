@@ -18,7 +18,7 @@ from core.navigation.filter import FilterConfig
 from core.navigation.track import Mode, Track
 from core.rotation import wrap_angle_rad
 from core.session import Accident, Session, SessionConfig
-from schemas.vehicles import Calibration, VehicleConfig
+from schemas.vehicles import Calibration, SensorNoise, VehicleConfig
 from service.engine.sessions import session_config, warm_up
 from service.errors import UsageError
 from service.recordings.drive_folder import Drive
@@ -62,8 +62,10 @@ class Fused:
     fusion_s: float
 
 
-def vehicle_config(drive: Drive, calibration: Calibration | None = None) -> VehicleConfig:
-    """The settings of a vehicle whose box is as the drive says."""
+def vehicle_config(
+    drive: Drive, calibration: Calibration | None = None, noise: SensorNoise | None = None
+) -> VehicleConfig:
+    """The settings of a vehicle whose box is as the drive says; ``noise`` goes before the drive's own."""
     return VehicleConfig(
         mounting_rpy_deg=drive.imu.mounting_rpy_deg,
         imu_lever_arm_m=drive.imu.lever_arm_m,
@@ -71,6 +73,7 @@ def vehicle_config(drive: Drive, calibration: Calibration | None = None) -> Vehi
         gnss_time_offset_s=drive.gnss.time_offset_s,
         accel_full_scale_mps2=drive.imu.accel_full_scale_mps2,
         calibration=calibration,
+        noise=drive.imu.noise if noise is None else noise,
     )
 
 

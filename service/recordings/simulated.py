@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 
 from core.simulation.scenarios import SimulatedDrive, absolute_ns
+from core.simulation.sensors import Device
+from schemas.vehicles import SensorNoise
 from service.recordings.drive_folder import Drive, Reference
 from service.recordings.drive_toml import Driver, GnssSetup, ImuSetup
 
@@ -22,6 +25,7 @@ def drive_of(simulated: SimulatedDrive) -> Drive:
             rate_hz=simulated.rate_hz,
             mounting_rpy_deg=(roll, pitch, yaw),
             accel_full_scale_mps2=simulated.measurements.accel_full_scale_mps2,
+            noise=_noise(simulated.device),
         ),
         gnss=GnssSetup(lever_arm_m=simulated.gnss_lever_arm_b_m),
         driver=Driver(age=32, sex="M"),
@@ -35,3 +39,13 @@ def drive_of(simulated: SimulatedDrive) -> Drive:
         ),
         truth=simulated.truth,
     )
+
+
+def _noise(device: Device) -> SensorNoise:
+    """The device's own figures; how far its bias may be off is said only of a calibrated one."""
+    triads = {}
+    for name, triad in (("accelerometer", device.accelerometer), ("gyroscope", device.gyroscope)):
+        triads[name] = {figure: [float(f"{value:.4g}")] * 3 for figure, value in asdict(triad.noise).items()}
+        if device.uncalibrated:
+            del triads[name]["turn_on_bias_sd"]
+    return SensorNoise.model_validate(triads)

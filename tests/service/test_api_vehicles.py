@@ -9,6 +9,10 @@ import httpx
 import pytest
 from sqlalchemy import func, insert, select
 
+from core.navigation.sensor_noise import matched_tuning
+from core.navigation.tuning import Tuning
+from core.sensors import TriadNoise
+from service.engine.sessions import session_config
 from service.storage import tables, vehicles
 from service.storage.database import read, write
 from tests.service.stored_rows import NS, T0, point_row
@@ -56,6 +60,20 @@ def test_changing_replaces_the_settings_and_reaches_the_running_service(service,
         ({"config": {"imu_lever_arm_m": [0, 0, 1e9]}}, "body.config.imu_lever_arm_m.2"),
         ({"config": {"accel_full_scale_mps2": -1}}, "body.config.accel_full_scale_mps2"),
         ({"config": {"colour": "red"}}, "body.config.colour"),
+        (
+            {"config": {"noise": {"gyroscope": {"random_walk": [0.3, 0.3, 0.3]}}}},
+            "body.config.noise.gyroscope.random_walk.0",
+        ),
+        (
+            {"config": {"noise": {"gyroscope": {"random_walk": [1e-4, 0, 1e-4]}}}},
+            "body.config.noise.gyroscope.random_walk.1",
+        ),
+        ({"config": {"noise": {"gyroscope": {"random_walk": 1e-4}}}}, "body.config.noise.gyroscope.random_walk"),
+        (
+            {"config": {"noise": {"accelerometer": {"bias_instability": [1]}}}},
+            "body.config.noise.accelerometer.bias_instability.1",
+        ),
+        ({"config": {"noise": {"magnetometer": {}}}}, "body.config.noise.magnetometer"),
         ({"name": "x"}, "body.name"),
         ([], "body"),
     ],
@@ -67,6 +85,23 @@ def test_wrong_settings_are_refused_by_name(admin, body, location):
     assert problem["code"] == "invalid_request"
     assert location in [error["location"] for error in problem["errors"]]
     assert admin.get("/v1/vehicles/a").status_code == 404
+
+
+def test_the_noise_of_the_sensors_reaches_the_session(service, admin, tenant):
+    interval = [[9e-4, 1.1e-3]] * 3
+    noise = {
+        "accelerometer": {"random_walk": [1e-3, 2e-3, 1e-3], "interval95": {"random_walk": interval}},
+        "gyroscope": {"random_walk": [1e-4] * 3, "rate_random_walk": [0] * 3, "turn_on_bias_sd": [0.001, 5e-4, 1e-3]},
+    }
+    answer = admin.put("/v1/vehicles/a", json={"config": {"noise": noise}})
+    assert answer.status_code == 201
+    stored = answer.json()["config"]["noise"]
+    assert stored["gyroscope"]["turn_on_bias_sd"] == [0.001, 5e-4, 1e-3]
+    assert admin.put("/v1/vehicles/a", json={"config": {"noise": stored}}).json()["config"]["noise"] == stored
+    tuning = session_config(service.runtime.directory.resolve(tenant, "a").config).filter.tuning
+    expected = matched_tuning(Tuning(), TriadNoise(random_walk=2e-3), TriadNoise(1e-4, None, 0.0, 0.001))
+    assert tuning == expected
+    assert tuning.gyro_noise_radps_rts < Tuning().gyro_noise_radps_rts
 
 
 @pytest.mark.parametrize("vehicle_id", ["-a", "a b", "ä", "a*", "x" * 129, "%00"])

@@ -13,8 +13,9 @@ import pytest
 
 from core.measurements import GNSS
 from core.simulation.scenarios import simulate
+from schemas.vehicles import SensorNoise
 from service.cli import main
-from service.recordings.drive_folder import write_drive
+from service.recordings.drive_folder import read_drive, write_drive
 from service.recordings.simulated import drive_of
 
 FIGURES = {
@@ -281,3 +282,42 @@ def test_an_accident_that_nobody_can_place_is_told_without_a_place(folders, caps
     found = lines(capsys, tmp_path / "no_fix")
     assert len(found) == 2
     assert [(event["lat_deg"], event["lon_deg"], event["sd_n_m"]) for event in found] == [(None, None, None)] * 2
+
+
+NOISE = {"gyroscope": {"random_walk": [8.7e-5] * 3}, "accelerometer": {"random_walk": [1e-3] * 3}}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('{"gyroscope": {"random_walk": [0.3, 0.3, 0.3]}}', "gyroscope.random_walk.0"),
+        ('{"gyroscope": {"random_walk": [1e-4]}}', "gyroscope.random_walk.1"),
+        ('{"gyro": {}}', "gyro: Extra inputs"),
+        ("[]", "the document"),
+        ("{", "the document"),
+    ],
+)
+def test_a_noise_block_that_is_none_is_refused_by_name(folders, capsys, tmp_path, text, expected):
+    path = tmp_path / "noise.json"
+    path.write_text(text)
+    for command in ("fuse", "detect"):
+        status, out, err = call(capsys, command, folders / "city", "--noise", path)
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        assert f"noise.json: {expected}" in err
+        assert "SI units" in err
+
+
+def test_stated_noise_is_used_from_a_file_or_the_folder(folders, capsys, tmp_path):
+    (tmp_path / "noise.json").write_text(json.dumps(NOISE))
+    drive = read_drive(folders / "city")
+    write_drive(tmp_path / "unknown", replace(drive, imu=replace(drive.imu, noise=None)))
+    write_drive(tmp_path / "stated", replace(drive, imu=replace(drive.imu, noise=SensorNoise.model_validate(NOISE))))
+
+    def row(*words):
+        assert call(capsys, "fuse", *words, "--out", tmp_path / "fused.csv", "--every", "10")[0] == 0
+        return (tmp_path / "fused.csv").read_bytes()
+
+    from_folder = row(tmp_path / "stated")
+    assert row(tmp_path / "unknown", "--noise", tmp_path / "noise.json") == from_folder
+    assert row(tmp_path / "unknown") != from_folder
+    assert row(folders / "city", "--noise", tmp_path / "noise.json") == from_folder  # before what the folder says

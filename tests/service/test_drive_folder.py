@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from core.measurements import GNSS, Measurements
+from schemas.vehicles import AccelerometerNoise, GyroscopeNoise, NoiseIntervals, SensorNoise
 from service.cli import main
 from service.errors import RecordingError
 from service.recordings.drive_folder import AttitudeSeries, Drive, Reference, read_drive, write_drive
@@ -21,6 +22,14 @@ from tests.recordings import recording
 TOML = 'name = "n"\nstart_utc = "2024-05-06T08:30:00Z"\nvehicle_id = "v"\n'
 IMU = "t_s,ax_mps2,ay_mps2,az_mps2,gx_radps,gy_radps,gz_radps\n0.0,0,0,-9.8,0,0,0\n0.01,0.1,0,-9.8,0,0,0.2\n"
 START_NS = 1_714_984_200_000_000_000
+NOISE = SensorNoise(
+    accelerometer=AccelerometerNoise(random_walk=(1e-3, 1e-3, 2e-3), turn_on_bias_sd=(0.03, 0.03, 0.05)),
+    gyroscope=GyroscopeNoise(
+        random_walk=(1e-4, 2e-4, 1e-4),
+        rate_random_walk=(0.0, 0.0, 1e-6),
+        interval95=NoiseIntervals(random_walk=((0.9e-4, 1.1e-4), (1.8e-4, 2.2e-4), (0.9e-4, 1.1e-4))),
+    ),
+)
 
 
 def _folder(path: Path, **files: str) -> Path:
@@ -56,7 +65,7 @@ def _drive() -> Drive:
             pressure_pa=np.array([94012.25, 94012.5, 94013.0]),
             accel_full_scale_mps2=19.6133,
         ),
-        imu=ImuSetup(100.0, "forward-right-down", (1.0, -2.0, 90.0), (0.1, 0.2, 0.3), 19.6133, {"gyro_arw": 1e-4}),
+        imu=ImuSetup(100.0, "forward-right-down", (1.0, -2.0, 90.0), (0.1, 0.2, 0.3), 19.6133, NOISE),
         gnss=GnssSetup((0.5, 0.0, -1.2), 0.05),
         driver=Driver(age=32, sex="M"),
         reference=Reference(t_ns, *np.full((3, n), 0.5), rng.normal(0, 1, (n, 3)), rng.normal(0, 0.5, (n, 3))),
@@ -148,6 +157,13 @@ def test_air_pressure_is_read_in_hectopascal_and_a_missing_one_is_no_sample(tmp_
         ("drive_toml", TOML + "[imu]\nmounting_rpy_deg = [1, 2]\n", r"\[imu\] mounting_rpy_deg.*three numbers"),
         ("drive_toml", TOML + "[imu]\nrate_hz = 0\n", r"\[imu\] rate_hz is 0; expected a number above 0"),
         ("drive_toml", TOML + '[driver]\nsex = "x"\n', r"\[driver\] sex"),
+        (
+            "drive_toml",
+            TOML + "[imu.noise.gyroscope]\nrandom_walk = [0.3, 0.3, 0.3]\n",  # deg/sqrt(h)
+            r"imu\.noise\.gyroscope\.random_walk\.0 is 0\.3: .*less than or equal to 0\.005; expected .* rad/s",
+        ),
+        ("drive_toml", TOML + "[imu]\nnoise = 3\n", r"\[imu\] noise is 3; expected a table"),
+        ("drive_toml", TOML + "[imu.noise]\ngyro_arw = 1e-4\n", r"imu\.noise\.gyro_arw is 0\.0001: Extra inputs"),
         ("truth_json", "{", "is no JSON"),
         ("barometer_csv", "t_s,pressure_pa\n0,95000\n", r"barometer\.csv: line 1: column 'pressure_hpa' is missing"),
         ("barometer_csv", "t_s,pressure_hpa\n0,95000\n1,95010\n", r"'pressure_hpa' is 95005 .* 300 to 1100 hPa .*Pa"),

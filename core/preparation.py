@@ -71,7 +71,7 @@ def _saturated(rows: FloatArray, limit: float) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _valid(t_ns: TimeArray, f_s: FloatArray, omega_s: FloatArray, last_ns: int) -> tuple[BoolArray, int, int]:
+def valid_samples(t_ns: TimeArray, f_s: FloatArray, omega_s: FloatArray, last_ns: int) -> tuple[BoolArray, int, int]:
     """Which samples to use (n,), how many were late, how many not finite or out of any sensor's range."""
     keep = np.zeros(t_ns.shape[0], np.bool_)
     late, broken = 0, 0
@@ -113,7 +113,7 @@ class Preparation:
     def step(self, raw: Measurements, last_ns: int, counts: dict[str, int]) -> BodySamples:
         """Calibrated samples later than ``last_ns``; what is left out is added to ``counts``."""
         t_ns, f_s, omega_s = raw.imu_t_ns, raw.f_s, raw.omega_s
-        keep, late, broken = _valid(t_ns, f_s, omega_s, last_ns)
+        keep, late, broken = valid_samples(t_ns, f_s, omega_s, last_ns)
         if late or broken:
             t_ns, f_s, omega_s = t_ns[keep], f_s[keep], omega_s[keep]
             for outcome, count in (("rejected_time", late), ("rejected_range", broken)):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from core.navigation.track import Track
+from service.cli.denoising import denoise_lines, denoise_with_progress
 from service.cli.drives import add_drive, fuse_with_progress, open_drive
 from service.errors import UsageError
 from service.recordings.exporters import TrackFile, check_ending, export_track
@@ -31,6 +32,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="withhold GNSS for that span, in seconds of the drive, and tell the error in it; may be repeated",
     )
     parser.add_argument("--every", type=float, default=0.0, metavar="S", help="thin the rows to one each S seconds")
+    parser.add_argument(
+        "--denoise",
+        action="store_true",
+        help="denoise the inertial samples by wavelets first, and tell the figures with and without",
+    )
     parser.add_argument("--no-nhc", action="store_true", help="without non-holonomic constraints")
     parser.add_argument("--no-zupt", action="store_true", help="without zero-velocity updates")
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
@@ -51,10 +57,14 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(
                 f"outage {outage.start_s:g}:{outage.duration_s:g} begins after the drive's end at {span_s:g} s"
             )
-    fused = fuse_with_progress(drive, config, outages)
+    denoised = denoise_with_progress(drive) if arguments.denoise else None
+    fused = fuse_with_progress(drive if denoised is None else denoised.drive, config, outages)
     if out is not None:
         export_track(out, TrackFile(_written(fused.track, arguments.every), drive.start_t_ns, drive.name))
     found = figures(drive, fused, outages) | {"out": None if out is None else str(out)}
+    if denoised is not None:
+        raw = figures(drive, fuse_with_progress(drive, config, outages), outages)
+        found["denoise"] = denoised.figures() | {"without": raw}
     print(json.dumps(found, default=float) if arguments.json else _text(drive.name, found))
     return 0
 
@@ -98,6 +108,7 @@ def _text(name: str, found: dict[str, Any]) -> str:
             )
     for aid, outcomes in found["aids"].items():
         lines.append(f"  {aid}: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
+    lines += denoise_lines(found)
     if found["out"]:
         lines.append(f"written: {found['out']}")
     return "\n".join(lines)

@@ -84,6 +84,16 @@ class DenoisingTuning(Tunables):
         high=0.99,
         source="choice: shortfall that is believed; a stop lets the noise fall by an e-fold in 40 s",
     )
+    least_accel_sd_mps2: float = tunable(
+        1e-4,
+        unit="m/s2",
+        low=1e-9,
+        high=0.1,
+        source="choice: a tenth of the best MEMS's noise; less is a converter that does not move",
+    )
+    least_gyro_sd_radps: float = tunable(
+        1e-6, unit="rad/s", low=1e-11, high=1e-3, source="choice, as least_accel_sd_mps2"
+    )
     gap_s: float = tunable(
         0.2,
         unit="s",
@@ -119,6 +129,9 @@ class Denoiser:
     Silverman 1997), followed over windows with bounded steps (``DenoisingTuning``). Shrinkage is the non-negative
     garrote d - t^2/d (Gao 1998): unlike soft thresholding it leaves large details, a crash's, nearly as they are, and
     unlike hard thresholding it has no jump that would make noise at the threshold come and go.
+
+    Of a crash pulse of 60-150 ms and 3 g in noise of 0.37 m/s2 less than 5 % of the peak is lost, of 8 g 2 %, of 20 g
+    1 %, and of the change of velocity less than 0.05 m/s (tests/core/test_denoising.py).
 
     A silence above ``gap_s`` ends the series: what waits comes out, and the next sample begins a new one. A series
     shorter than a margin comes out as it went in.
@@ -169,7 +182,7 @@ class Denoiser:
 
     @property
     def noise_sd(self) -> FloatArray:
-        """Sd of the details (levels, 6), finest level first, m/s2 and rad/s; 0 where none has been seen yet."""
+        """Sd of the details (levels, 6), finest level first, m/s2 and rad/s; 0 before any was seen."""
         return self._noise_sd.copy()
 
     def step(self, t_ns: TimeArray, rows: FloatArray) -> Samples:
@@ -278,7 +291,10 @@ def _denoise(denoisers: Sequence[Denoiser], due: Sequence[Sequence[_Window]]) ->
         owners = np.array([vehicles.index(v) for v, _ in places])
         shares = np.array([min(1.0, due[v][i].sampled_s / tuning.memory_s) for v, i in places])
         noise_sd = np.stack([denoisers[v]._noise_sd for v in vehicles])
-        thresholds = tuning.threshold_sds * _follow(noise_sd, owners, found, shares, tuning.most_rise, tuning.most_fall)
+        least = np.repeat([tuning.least_accel_sd_mps2, tuning.least_gyro_sd_radps], AXES // 2)
+        thresholds = tuning.threshold_sds * _follow(
+            noise_sd, owners, found, shares, least, tuning.most_rise, tuning.most_fall
+        )
         for row, vehicle in enumerate(vehicles):
             denoisers[vehicle]._noise_sd = noise_sd[row]
         for length, members in by_length.items():
@@ -319,6 +335,7 @@ def _follow(
     owners: npt.NDArray[np.int64],
     found: FloatArray,
     shares: FloatArray,
+    least: FloatArray,
     most_rise: float,
     most_fall: float,
 ) -> FloatArray:
@@ -332,7 +349,7 @@ def _follow(
         for level in range(found.shape[1]):
             for axis in range(found.shape[2]):
                 so_far = now[level, axis]
-                if so_far == 0.0:  # nothing but zeros yet, as of a converter at rest
+                if so_far < least[axis]:  # none seen yet but a converter's that does not move, and rounding
                     now[level, axis] = found[k, level, axis]
                 else:
                     excess = min(most_rise, max(-most_fall, found[k, level, axis] / so_far - 1.0))

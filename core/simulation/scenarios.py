@@ -21,6 +21,7 @@ from core.simulation.sensors import (
     EXACT_MEMS,
     LOW_COST_MEMS,
     MICRO_IBB,
+    SHAKEN,
     UNCALIBRATED,
     WIDE_RANGE,
     Device,
@@ -95,6 +96,9 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             600.0,
             device=UNCALIBRATED,
             receiver=WHITE_GNSS,
+        ),
+        "engine_shaken": Scenario(
+            "as outages, in a box that the engine shakes by 1.5 m/s2", roads.outages, 600.0, SHAKEN, WHITE_GNSS
         ),
         "parking": Scenario("manoeuvring with kerbs and reversing; struck from behind at rest", roads.parking, 300.0),
         "wide_sensor": Scenario(

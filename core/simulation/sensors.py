@@ -195,6 +195,8 @@ LOW_COST_MEMS: Final = Device(
     ),
     mounting_sd_rad=0.0,
 )
+# On a bracket or panel beside the engine instead of under the dashboard: 1.5 m/s2 is a choice, 25 times the latter's.
+SHAKEN: Final = replace(LOW_COST_MEMS, name="low_cost_mems_shaken", vibration=Vibration(engine_sd_mps2=1.5))
 
 EXACT_MEMS: Final = replace(
     LOW_COST_MEMS,

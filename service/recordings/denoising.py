@@ -60,6 +60,8 @@ def denoise(drive: Drive, progress: Callable[[float], None] = lambda share: None
     """The drive with its inertial samples denoised as a stream would have it, put back to their own times.
 
     Samples that a session would leave out stay as they are, and so does what clipped, which the filter must see.
+    A box that the engine shakes stands still again where the vehicle does; but the road's shaking goes too, so
+    that even driving in an outage, with no other constraint on the speed, can be taken for a standstill.
     Raises UsageError if the samples are too few or too slow.
     """
     m = drive.measurements

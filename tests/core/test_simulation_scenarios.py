@@ -11,7 +11,7 @@ from core.errors import InvalidInputError
 from core.simulation import roads
 from core.simulation.scenarios import SCENARIOS, SimulatedDrive, simulate
 
-UNEVENTFUL = ("city", "highway", "outages", "exact_outages", "uncalibrated_outages")
+UNEVENTFUL = ("city", "highway", "outages", "engine_shaken", "exact_outages", "uncalibrated_outages")
 
 
 @pytest.fixture(scope="module")

@@ -188,6 +188,13 @@ class Tuning(Tunables):
         high=10,
         source="choice: over the level learnt when standing; rolling at 4 m/s on a smooth road is three times it",
     )
+    still_shaken_factor: float = tunable(
+        5.0,
+        unit="1",
+        low=1,
+        high=20,
+        source="an idling engine of 1.5 m/s2 at 27 Hz leaves 0.2 m/s2 in means of 0.1 s; where speed is known it may",
+    )
     still_max_speed_mps: float = tunable(
         0.5, unit="m/s", low=0.1, high=10, source="a smooth road at speed is no standstill"
     )

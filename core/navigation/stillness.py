@@ -35,7 +35,6 @@ LEARN_SHARE = 0.05
 
 _STILL_ACCEL = PARAMETER["still_accel_sd_mps2"]
 _STILL_GYRO = PARAMETER["still_gyro_sd_radps"]
-_SHAKEN_FACTOR = PARAMETER["still_shaken_factor"]
 _STILL_FACTOR = PARAMETER["still_factor"]
 _STILL_MEAN = PARAMETER["still_mean_accel_mps2"]
 _STILL_RATE = PARAMETER["still_mean_gyro_radps"]
@@ -108,17 +107,15 @@ def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) ->
     limit = par[_STILL_RATE] + 3.0 * math.sqrt(rate_var)
     if turning_sq > limit * limit:
         return
-    spread_f, spread_w = math.sqrt(spread_f), math.sqrt(spread_w)
-    # Where the filter's own speed is a witness, an engine may shake; it is learnt how this vehicle stands. Where it is
-    # none, the vehicle has to be as quiet as it was when it stood.
-    uncertain = speed_sd > par[_STILL_SPEED]
-    limit_f, limit_w = par[_STILL_ACCEL], par[_STILL_GYRO]
-    if not uncertain:
-        limit_f, limit_w = par[_SHAKEN_FACTOR] * limit_f, par[_SHAKEN_FACTOR] * limit_w
-    elif x[X_STILL_F] > 0.0:
-        limit_f, limit_w = par[_STILL_FACTOR] * x[X_STILL_F], par[_STILL_FACTOR] * x[X_STILL_W]
-    if spread_f > limit_f or spread_w > limit_w:
+    if spread_f > par[_STILL_ACCEL] ** 2 or spread_w > par[_STILL_GYRO] ** 2:
         return
+    spread_f, spread_w = math.sqrt(spread_f), math.sqrt(spread_w)
+    # Where the filter's own speed is no witness, it has to be as quiet as this vehicle is when it stands.
+    uncertain = speed_sd > par[_STILL_SPEED]
+    if uncertain and x[X_STILL_F] > 0.0:
+        factor = par[_STILL_FACTOR]
+        if spread_f > factor * x[X_STILL_F] or spread_w > factor * x[X_STILL_W]:
+            return
     # Pulling away evenly is smooth too: what gravity and bias leave must be nothing.
     mean = (mean_0 - x[X_BA], mean_1 - x[X_BA + 1], mean_2 - x[X_BA + 2])
     c0, c1, c2, c3, c4, c5, _, _, _ = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])

@@ -18,14 +18,14 @@ class Tuning(Tunables):
     """Tunables of navigation. Sd is one sigma; noise densities are per root second."""
 
     gyro_noise_radps_rts: float = tunable(
-        1.0e-3,
+        5.0e-4,
         unit="rad/s/sqrt(Hz)",
         low=1e-7,
         high=0.1,
-        source="L3GD20 0.03 deg/s/sqrt(Hz) = 5.2e-4, doubled for vibration",
+        source="L3GD20 0.03 deg/s/sqrt(Hz) = 5.2e-4; " + _CHOICE,
     )
     accel_noise_mps2_rts: float = tunable(
-        2.0e-2,
+        1.0e-2,
         unit="m/s2/sqrt(Hz)",
         low=1e-6,
         high=1.0,
@@ -187,13 +187,6 @@ class Tuning(Tunables):
         low=1,
         high=10,
         source="choice: over the level learnt when standing; rolling at 4 m/s on a smooth road is three times it",
-    )
-    still_shaken_factor: float = tunable(
-        5.0,
-        unit="1",
-        low=1,
-        high=20,
-        source="an idling engine of 1.5 m/s2 at 27 Hz leaves 0.2 m/s2 in means of 0.1 s; where speed is known it may",
     )
     still_max_speed_mps: float = tunable(
         0.5, unit="m/s", low=0.1, high=10, source="a smooth road at speed is no standstill"

@@ -83,7 +83,7 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             receiver=WHITE_GNSS,
         ),
         "exact_outages": Scenario(
-            "as outages, and the body goes exactly where its wheels point: smooth road, rigid springs, no vibration",
+            "as outages, but the body goes unshaken where its wheels point, and sensors err by noise and bias alone",
             roads.smooth_outages,
             600.0,
             device=EXACT_MEMS,

@@ -200,11 +200,14 @@ SHAKEN: Final = replace(LOW_COST_MEMS, name="low_cost_mems_shaken", vibration=Vi
 
 EXACT_MEMS: Final = replace(
     LOW_COST_MEMS,
+    accelerometer=replace(LOW_COST_MEMS.accelerometer, scale_sd=0.0, misalignment_sd_rad=0.0, instability_sd=0.0),
+    gyroscope=replace(LOW_COST_MEMS.gyroscope, scale_sd=0.0, misalignment_sd_rad=0.0, instability_sd=0.0),
     vibration=Vibration(road_sd_mps2=0.0, engine_sd_mps2=0.0, ringing_share=0.0),
     wheel_speed_hz=4.0,
     wheel_scale_sd=0.005,
 )
-"""The same unit in a car that does not shake, with a wheel speed whose scale is off by some 0.5 %."""
+"""The same unit with white noise and turn-on biases alone, in a car that does not shake, and with a wheel speed
+whose scale is off by some 0.5 %."""
 
 
 @dataclass(frozen=True, slots=True)

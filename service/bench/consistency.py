@@ -16,7 +16,7 @@ from core.navigation.track import Mode
 from core.rotation import matrix_from_quaternion, matrix_from_rpy, wrap_angle_rad
 from core.session import Session
 from core.simulation.scenarios import simulate
-from service.bench.simulated_outages import SCENARIO, SEEDS, Tell, outages_of
+from service.bench.simulated_outages import EXACT, SEEDS, Tell, outages_of
 from service.recordings.drive_folder import Drive
 from service.recordings.fusing import fuse, fuse_config, vehicle_config
 from service.recordings.simulated import drive_of
@@ -37,7 +37,7 @@ def measure(tell: Tell, seeds: Sequence[int] = SEEDS, duration_s: float | None =
     normalised, inside, outside = [], [], []
     for done, seed in enumerate(seeds):
         tell(done, len(seeds))
-        drive = drive_of(simulate(SCENARIO, seed, duration_s))
+        drive = drive_of(simulate(EXACT, seed, duration_s))
         normalised.append(_nees(drive))
         within, in_outage = _within_three_sd(drive)
         inside.append(within[in_outage])
@@ -45,7 +45,7 @@ def measure(tell: Tell, seeds: Sequence[int] = SEEDS, duration_s: float | None =
     nees = np.array(normalised)
     shares = {"in_outages": np.concatenate(inside), "outside": np.concatenate(outside)}
     return {
-        "scenario": SCENARIO,
+        "scenario": EXACT,
         "drives": len(seeds),
         "nees": {
             name: _judged(nees[:, :, i], len(seeds) if name == "attitude" else nees[:, :, i].size)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +17,7 @@ DRIVES: Final = Path(__file__).resolve().parents[3] / "shared" / "drives"
 
 PARTS: Final[dict[str, Callable[[Tell], dict[str, Any]]]] = {
     "synthetic": simulated_outages.measure,
+    "road": partial(simulated_outages.measure, scenario=simulated_outages.ON_THE_ROAD),
     "consistency": consistency.measure,
     "calibration": calibration_gain.measure,
 }

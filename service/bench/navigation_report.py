@@ -9,7 +9,8 @@ from typing import Any
 def tables(found: Mapping[str, Any]) -> str:
     """One table a part, and at the end what is asked against what was measured."""
     makers: Mapping[str, Callable[[Any], Iterable[str]]] = {
-        "synthetic": _synthetic,
+        "synthetic": _simulated,
+        "road": _simulated,
         "real": _real,
         "consistency": _consistency,
         "calibration": _calibration,
@@ -18,13 +19,19 @@ def tables(found: Mapping[str, Any]) -> str:
     return "\n\n".join("\n".join(make(found[name])) for name, make in makers.items() if found.get(name))
 
 
-def _synthetic(found: Mapping[str, Any]) -> Iterable[str]:
+def _simulated(found: Mapping[str, Any]) -> Iterable[str]:
     yield f"{found['drives']} simulated drives ({found['scenario']}), {len(found['outages'])} outages; error in m:"
-    rows = [("aided by", "30 s RMS", "median", "max", "60 s RMS", "median", "max")]
+    rows = [("aided by", "after", "RMS", "stated", "median", "max", "which is in")]
     for aiding in found["aidings"].values():
-        instants = [aiding[name] for name in ("at_30_s", "at_60_s")]
-        rows.append((aiding["text"], *(_m(one[key]) for one in instants for key in ("rms_m", "median_m", "max_m"))))
-    yield from _aligned(rows)
+        for name, one in aiding.items():
+            if name == "text":
+                continue
+            worst = found["outages"][one["errors_m"].index(one["max_m"])]
+            figures = (_m(one[key]) for key in ("rms_m", "stated_rms_m", "median_m", "max_m"))
+            instant = name.removeprefix("at_").replace("_", " ")
+            where = f"seed {worst['seed']} at {worst['start_s']:.0f} s"
+            rows.append((aiding["text"], instant, *figures, where))
+    yield from _aligned(rows, left=(0, 6))
 
 
 def _real(found: Mapping[str, Any]) -> Iterable[str]:

@@ -20,7 +20,7 @@ def tables(found: Mapping[str, Any]) -> str:
 
 
 def _simulated(found: Mapping[str, Any]) -> Iterable[str]:
-    yield f"{found['drives']} simulated drives ({found['scenario']}), {len(found['outages'])} outages; error in m:"
+    yield f"outages: {found['scenario']}, {found['drives']} seeds, {len(found['outages'])} of them; error in m:"
     rows = [("aided by", "after", "RMS", "stated", "median", "max", "which is in")]
     for aiding in found["aidings"].values():
         for name, one in aiding.items():
@@ -50,7 +50,7 @@ def _real(found: Mapping[str, Any]) -> Iterable[str]:
 
 
 def _consistency(found: Mapping[str, Any]) -> Iterable[str]:
-    yield f"errors against what is stated, {found['drives']} drives ({found['scenario']}):"
+    yield f"errors against what is stated: {found['scenario']}, {found['drives']} seeds:"
     rows = [("NEES of", "mean", "expected", "95 % band", "")]
     for name, one in found["nees"].items():
         low, high = one["band"]
@@ -64,7 +64,7 @@ def _consistency(found: Mapping[str, Any]) -> Iterable[str]:
 
 
 def _calibration(found: Mapping[str, Any]) -> Iterable[str]:
-    yield f"{found['drives']} drives with an uncalibrated box ({found['scenario']}); RMS and largest error in m:"
+    yield f"calibration: {found['scenario']}, {found['drives']} seeds; RMS and largest error in m:"
     names = list(found["solutions"])
     rows = [("seed", "outage", *names)]
     for one in found["outages"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,7 +23,8 @@ NAMED: Final = {"kth_stockholm": Outage(200.0, 99.0), "comma2k19_segment": Outag
 SWEPT: Final = ("kth_stockholm", "boston_vn100")
 DRIVES: Final = tuple(sorted({*NAMED, *SWEPT}))
 
-METHODS: Final = ("causal",)
+METHODS: Final[Mapping[str, Mapping[str, Any]]] = {"causal": {}}
+"""How a drive is fused, as options of ``fuse``."""
 
 
 def placed(drive: Drive) -> list[Outage]:
@@ -43,30 +45,31 @@ def measure(folder: Path, tell: Tell) -> dict[str, Any]:
         for name, outage in NAMED.items():
             tell(done, total)
             found[name].setdefault("outage", {"start_s": outage.start_s, "duration_s": outage.duration_s})
-            found[name]["outage"][method] = _in_outage(drives[name], outage)
+            found[name]["outage"][method] = _in_outage(drives[name], outage, method)
             done += 1
         for name, outages in sweeps.items():
             runs: list[dict[str, Any]] = []
             for outage in outages:
                 tell(done, total)
-                runs.append({"start_s": outage.start_s} | _in_outage(drives[name], outage))
+                runs.append({"start_s": outage.start_s} | _in_outage(drives[name], outage, method))
                 done += 1
             found[name].setdefault("sweep", {"every_s": EVERY_S, "duration_s": LENGTH_S})
             found[name]["sweep"][method] = {
-                "median_end_m": _median(runs),
+                "median_end_m": median_end_m(runs),
                 "without_position": sum(run["end_m"] is None for run in runs),
                 "outages": runs,
             }
     return found
 
 
-def _median(runs: list[dict[str, Any]]) -> float | None:
+def median_end_m(runs: list[dict[str, Any]]) -> float | None:
     """Of the end errors; an outage in which the filter had no position to tell counts as the worst."""
     median = float(np.median([math.inf if run["end_m"] is None else run["end_m"] for run in runs]))
     return median if math.isfinite(median) else None
 
 
-def _in_outage(drive: Drive, outage: Outage) -> dict[str, float | None]:
-    fused = fuse(drive, fuse_config(vehicle_config(drive)), [outage])
+def _in_outage(drive: Drive, outage: Outage, method: str) -> dict[str, float | None]:
+    fused = fuse(drive, fuse_config(vehicle_config(drive)), [outage], **METHODS[method])
     (one,) = figures(drive, fused, [outage])["outages"]
-    return {name: one[name] for name in ("rms_m", "end_m", "max_m", "distance_m")}
+    figures_of_one = {name: one[name] for name in ("rms_m", "end_m", "max_m", "distance_m")}
+    return figures_of_one | {"resets": fused.counts.get("imu.reset", 0)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -9,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from core.measurements import GNSS, FloatArray
-from core.navigation.track import Track
+from core.navigation.track import Mode, Track
 from core.simulation.scenarios import simulate
 from service.recordings.drive_folder import Drive
 from service.recordings.fusing import Outage, fuse, fuse_config, track_errors, vehicle_config
@@ -77,36 +78,45 @@ def outages_of(drive: Drive) -> list[Outage]:
 
 
 def _at_instants(drive: Drive, track: Track, outages: Sequence[Outage]) -> FloatArray:
-    """Horizontal error and its stated sd at the last sample before each instant, (outages, instants, 2), m."""
+    """Horizontal error and its stated sd at the last sample before each instant, (outages, instants, 2), m.
+
+    Infinite where the filter had lost itself and had no position to tell.
+    """
     ends_s = np.array([[outage.start_s + instant for instant in INSTANTS_S] for outage in outages])
     _, errors = track_errors(drive, track, ())
     if errors is None:
-        return np.full((*ends_s.shape, 2), np.nan)
-    error_m = errors.horizontal_m[np.searchsorted(errors.t_s, ends_s) - 1]
+        return np.full((*ends_s.shape, 2), np.inf)
+    at = np.searchsorted(errors.t_s, ends_s) - 1
     row = np.searchsorted(drive.t_s(track.t_ns), ends_s) - 1
-    return np.stack([error_m, np.hypot(track.column("sd_n_m")[row], track.column("sd_e_m")[row])], axis=-1)
+    told = track.column("mode")[row] != Mode.ALIGNING
+    sd_m = np.hypot(track.column("sd_n_m")[row], track.column("sd_e_m")[row])
+    return np.stack([np.where(told, errors.horizontal_m[at], np.inf), np.where(told, sd_m, np.inf)], axis=-1)
 
 
 def _figures(found: FloatArray) -> dict[str, Any]:
-    """Figures of (outages, instants, 2) errors and sd, by instant."""
+    """Figures of (outages, instants, 2) errors and sd, by instant; None where a figure is not finite."""
     return {
         f"at_{instant:.0f}_s": {
-            "rms_m": float(np.sqrt(np.mean(errors_m**2))),
-            "stated_rms_m": float(np.sqrt(np.mean(sd_m**2))),
-            "median_m": float(np.median(errors_m)),
-            "max_m": float(errors_m.max()),
-            "errors_m": [float(v) for v in errors_m],
+            "rms_m": _finite(np.sqrt(np.mean(errors_m**2))),
+            "stated_rms_m": _finite(np.sqrt(np.mean(sd_m**2))),
+            "median_m": _finite(np.median(errors_m)),
+            "max_m": _finite(errors_m.max()),
+            "errors_m": [_finite(v) for v in errors_m],
         }
         for instant, (errors_m, sd_m) in zip(INSTANTS_S, np.moveaxis(found, 0, -1), strict=True)
     }
 
 
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
 def _fused(drive: Drive, aiding: Aiding) -> Track:
     config = fuse_config(vehicle_config(drive), non_holonomic=aiding.constraints, zero_velocity=aiding.constraints)
-    return fuse(_given(drive, aiding), config).track
+    return fuse(given(drive, aiding), config).track
 
 
-def _given(drive: Drive, aiding: Aiding) -> Drive:
+def given(drive: Drive, aiding: Aiding) -> Drive:
     """The drive with only what the aiding may use."""
     m = drive.measurements
     if not aiding.wheel:

@@ -46,8 +46,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="how long the service is saturated, and then how long it is loaded by half for latency (default 8)",
     )
-    parser.add_argument("--kernel", action="store_true", help="measure the navigation filter alone")
-    parser.add_argument(
+    instead = parser.add_mutually_exclusive_group()
+    instead.add_argument("--kernel", action="store_true", help="measure the navigation filter alone")
+    instead.add_argument(
         "--navigation",
         action="store_true",
         help="measure the navigation's accuracy instead: errors in outages of simulated and recorded drives, whether"

@@ -70,3 +70,15 @@ def matrix_from_quaternion(q: FloatArray) -> FloatArray:
 def wrap_angle_rad(angle_rad: FloatArray) -> FloatArray:
     """Angles brought into [-pi, pi), element by element."""
     return np.asarray(np.mod(np.asarray(angle_rad) + np.pi, 2 * np.pi) - np.pi)
+
+
+def skew(v: FloatArray) -> FloatArray:
+    """[v x] (3, 3): the matrix whose product with a vector is the cross product of ``v`` (3,) with it."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def rotation_vector_from_matrix(c: FloatArray) -> FloatArray:
+    """Rotation vector (3,), rad, of a (3, 3) rotation matrix, its length in [0, pi]."""
+    q = quaternion_from_matrix(c)
+    length = math.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    return np.asarray(q[1:] * (2.0 if length < 1e-9 else 2.0 * math.atan2(length, q[0]) / length))

@@ -53,7 +53,7 @@ _P_SQUAT = PARAMETER["squat_rad_per_mps2"]
 _P_SPEED = PARAMETER["speed_sd_mps"]
 _P_REVERSE_ODDS = PARAMETER["reverse_log_odds"]
 _P_ZUPT = PARAMETER["zupt_sd_mps"]
-_P_GATE_STILL = PARAMETER["gate_velocity"]
+_P_GATE_STILL = PARAMETER["gate_standstill"]
 _P_ZARU = PARAMETER["zaru_sd_radps"]
 
 ROBUST_LIMIT = 25.0

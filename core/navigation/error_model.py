@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
 from numba import njit
 
 from core.measurements import FloatArray
 from core.navigation.kalman import Nine
-from core.navigation.state import ACCEL_BIAS, ATT, GYRO_BIAS, GYRO_SCALE, POS, VEL
+from core.navigation.state import ACCEL_BIAS, ATT, GYRO_BIAS, GYRO_SCALE, N_STATES, POS, VEL
+from core.rotation import skew
 
 N_MOVING: Final = 9
 """Position, velocity and attitude: the errors that change with time by themselves."""
@@ -143,3 +145,21 @@ def propagate(
             p[j * n + i] = m[row + j]
     for i in range(n):
         p[i * n + i] += q[i]
+
+
+def transition_matrix(dt: float, dv_n: FloatArray, C_n_from_b: FloatArray, turn_rad: float) -> FloatArray:
+    """Phi (N_STATES, N_STATES) of one interval, as ``propagate`` applies it; parameters as there."""
+    phi = np.eye(N_STATES)
+    force = skew(dv_n)
+    pos, vel, att, bg, ba = (slice(i, i + 3) for i in (POS, VEL, ATT, GYRO_BIAS, ACCEL_BIAS))
+    turned_n = turn_rad * C_n_from_b[:, 2]
+    phi[pos, vel] = dt * np.eye(3)
+    phi[pos, att] = -0.5 * dt * force
+    phi[pos, ba] = -0.5 * dt * dt * C_n_from_b
+    phi[vel, att] = -force
+    phi[vel, ba] = -dt * C_n_from_b
+    phi[vel, bg] = 0.5 * dt * force @ C_n_from_b
+    phi[vel, GYRO_SCALE] = -0.5 * force @ turned_n
+    phi[att, bg] = -dt * C_n_from_b
+    phi[att, GYRO_SCALE] = turned_n
+    return phi

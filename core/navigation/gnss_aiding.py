@@ -155,11 +155,16 @@ def _reset_position(
 
 
 @njit(cache=True, nogil=True)
-def _learn_share(x: FloatArray, excess: float, par: FloatArray) -> None:
-    """Let the white share follow ``excess``: innovation's square less what the filter's own spread explains."""
-    limit = par[_P_LEARN]
-    x[X_WHITE_FIXES] = min(x[X_WHITE_FIXES] + 1.0, limit)
-    x[X_WHITE_SHARE] += (min(excess, WILD_RATIO) - x[X_WHITE_SHARE]) / x[X_WHITE_FIXES]
+def _learn_share(x: FloatArray, nu_sq: float, own: float, stated: float, par: FloatArray) -> None:
+    """Let the white share follow what an innovation's square has beyond the filter's ``own`` variance.
+
+    All of them means of north and east. A filter that knows little itself, as after an outage, has nothing to compare.
+    """
+    if own > stated:
+        return
+    x[X_WHITE_FIXES] = min(x[X_WHITE_FIXES] + 1.0, par[_P_LEARN])
+    share = min((nu_sq - own) / stated, WILD_RATIO)
+    x[X_WHITE_SHARE] = max(0.0, x[X_WHITE_SHARE] + (share - x[X_WHITE_SHARE]) / x[X_WHITE_FIXES])
 
 
 @njit(cache=True, nogil=True)
@@ -238,7 +243,7 @@ def fuse_position(
         return False
     count(ti, A_POSITION, outcome)
     if fused:
-        _learn_share(x, 0.5 * (nu_n * nu_n + nu_e * nu_e - own_n - own_e) / stated, par)
+        _learn_share(x, 0.5 * (nu_n * nu_n + nu_e * nu_e), 0.5 * (own_n + own_e), stated, par)
         share = sne / snn
         decorrelate(n, ph, ph2, share)
         update_pair(p, n, ph, 1.0 / snn, nu_n, ph2, 1.0 / (see - share * sne), nu_e - share * nu_n, dx)

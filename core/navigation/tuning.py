@@ -31,7 +31,7 @@ class Tuning(Tunables):
         high=1.0,
         source="LSM303DLHC 220 ug/sqrt(Hz) = 2.2e-3, raised for vibration: " + _CHOICE,
     )
-    gyro_bias_walk_radps2_rts: float = tunable(2.0e-5, unit="rad/s/sqrt(s)", low=0, high=1e-2, source=_CHOICE)
+    gyro_bias_walk_radps2_rts: float = tunable(5.0e-6, unit="rad/s/sqrt(s)", low=0, high=1e-2, source=_CHOICE)
     accel_bias_walk_mps3_rts: float = tunable(2.0e-4, unit="m/s2/sqrt(s)", low=0, high=1e-1, source=_CHOICE)
     gyro_bias_sd_radps: float = tunable(
         1.0e-2, unit="rad/s", low=1e-7, high=1.0, source="turn-on bias of a consumer gyroscope about 0.5 deg/s"
@@ -96,6 +96,13 @@ class Tuning(Tunables):
     gate_position: float = tunable(13.82, unit="1", low=4, high=1e4, source="chi-squared, 2 degrees of freedom, 99.9 %")
     gate_scalar: float = tunable(10.83, unit="1", low=2, high=1e4, source="chi-squared, 1 degree of freedom, 99.9 %")
     gate_velocity: float = tunable(13.82, unit="1", low=4, high=1e4, source="chi-squared, 2 degrees of freedom, 99.9 %")
+    gate_standstill: float = tunable(
+        4.61,
+        unit="1",
+        low=1,
+        high=1e4,
+        source="chi-squared, 2 degrees of freedom, 90 %: an even creep feels like standing, speed alone tells",
+    )
     recovery_s: float = tunable(
         5.0, unit="s", low=1, high=60, source="recovery within 10 s of good fixes, with time to see that they agree"
     )

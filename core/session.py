@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, Protocol
 
@@ -21,7 +22,8 @@ from core.navigation import state
 from core.navigation.alignment import next_second_ns
 from core.navigation.filter import Aids, FilterConfig, NavigationFilter
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
-from core.preparation import Mounting, Preparation
+from core.preparation import BodySamples, FoundMounting, Mounting, Preparation
+from core.rotation import matrix_from_rpy, rpy_from_matrix
 from core.sensors import TriadCalibration
 from core.snapshot import pack, unpack
 
@@ -34,6 +36,8 @@ UNSEEN_MPS: Final = 15.0
 """What a vehicle may do unseen, for the spread of a place that is old: 54 km/h, a choice."""
 KNOWN_MOUNTING_SD_RAD: Final = 0.01
 """Spread of a mounting that was measured: half a degree, by hand."""
+AXES_SD_RAD: Final = 0.014
+"""How far the axes of a box are from square, and from those it is judged by: soldering and die, 0.8 deg; a choice."""
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 
@@ -56,12 +60,25 @@ class Accident:
     mode: Mode
 
 
+@dataclass(frozen=True, slots=True)
+class MountingEstimate:
+    """How the box sits as far as is known: C_b_from_s as roll, pitch, yaw, rad, and sd about the body's axes, rad.
+
+    ``given`` is whether the settings say it, ``found`` whether the session found another than the nominal one.
+    """
+
+    given: bool
+    found: bool
+    rpy_rad: tuple[float, float, float]
+    sd_rad: tuple[float, float, float]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Outputs:
     """What one step brought: track rows every 100 ms, accidents, trips begun or changed, and counts.
 
     ``counts`` names what the step met, such as ``gnss_position.fused``, ``gnss_position.rejected_gate``,
-    ``imu.rejected_time``, ``imu.reset``; only non-zero ones.
+    ``imu.rejected_time``, ``imu.reset``, ``mounting.found``, ``mounting.contradicted``; only non-zero ones.
     """
 
     track: Track
@@ -90,6 +107,9 @@ class Detector(Protocol):
     def step(self, motion: VehicleMotion) -> list[Impact]:
         """Impacts that these samples decided."""
 
+    def turn(self, C_new_from_old: npt.NDArray[np.float64]) -> None:
+        """Take samples in other body axes from now on."""
+
     def state(self) -> Arrays:
         """Its whole state by name."""
 
@@ -109,6 +129,11 @@ class Session:
             config.accelerometer, config.gyroscope, config.mounting, config.accel_full_scale_mps2
         )
         self._filter = NavigationFilter(filter_config)
+        self._mounting = (
+            None
+            if config.mounting.known
+            else FoundMounting(filter_config.tuning.as_array(), filter_config.gnss_time_offset_s)
+        )
         self._detector: Detector = (
             PaperRule(config.impact.paper) if config.detector == "paper" else ImpactDetector(config.impact)
         )
@@ -122,30 +147,79 @@ class Session:
         before = self._filter.counts.copy()
         samples = self._preparation.step(measurements, self._filter.t_ns, counts)
         aids = self._aids(measurements)
-        fused = self._filter.step(samples.t_ns, samples.f_b, samples.omega_b, samples.saturated, aids)
-        # A constant, so that packets do not matter: gravity differs from it by 0.03 m/s2 at most, and upwards.
-        impacts = self._detector.step(
-            VehicleMotion(
-                t_ns=samples.t_ns,
-                f_b=samples.f_b,
-                omega_b=samples.omega_b,
-                down_b=fused.epochs[:, :3],
-                speed_mps=fused.epochs[:, 3],
-                saturated=samples.saturated,
-                gravity_mps2=STANDARD_GRAVITY_MPS2,
+        tracks: list[Track] = []
+        impacts: list[Impact] = []
+        for part, aids_of_part in self._in_body_axes(samples, aids, counts):
+            fused = self._filter.step(part.t_ns, part.f_b, part.omega_b, part.saturated, aids_of_part)
+            # A constant, so that packets do not matter: gravity differs from it by 0.03 m/s2 at most, and upwards.
+            impacts += self._detector.step(
+                VehicleMotion(
+                    t_ns=part.t_ns,
+                    f_b=part.f_b,
+                    omega_b=part.omega_b,
+                    down_b=fused.epochs[:, :3],
+                    speed_mps=fused.epochs[:, 3],
+                    saturated=part.saturated,
+                    gravity_mps2=STANDARD_GRAVITY_MPS2,
+                )
             )
-        )
-        rows = _joined(self._recent, fused.track)
+            tracks.append(fused.track)
+        track = functools.reduce(_joined, tracks)
+        rows = _joined(self._recent, track)
         accidents = tuple(_place(impact, _told_until(rows, impact.decided_t_ns)) for impact in impacts)
         self._recent = _newest(rows, RECENT_S)
-        trips = tuple(self._trips.step(fused.track, measurements.ignition))
+        trips = tuple(self._trips.step(track, measurements.ignition))
         self._add_counts(self._filter.counts - before, counts)
-        return Outputs(fused.track, accidents, trips, counts)
+        return Outputs(track, accidents, trips, counts)
+
+    def _in_body_axes(
+        self, samples: BodySamples, aids: Aids, counts: dict[str, int]
+    ) -> Iterator[tuple[BodySamples, Aids]]:
+        """The samples in body axes as known by then; where the mounting is given, just as they are."""
+        if self._mounting is None:
+            yield samples, aids
+            return
+        finder = self._mounting.finder
+        for turn, part, aids_of_part in self._mounting.step(samples, aids):
+            if turn is not None:
+                self._filter.turn(turn.C_new_from_old, turn.t_ns, turn.imu, turn.gnss)
+                self._detector.turn(turn.C_new_from_old)
+                name = "mounting.contradicted" if finder.contradicted else "mounting.found"
+                counts[name] = counts.get(name, 0) + 1
+            self._filter.start = self._mounting.start
+            if finder.found:
+                self._filter.mount_angle_sd_rad = math.hypot(*finder.found_sd_rad)
+            yield part, aids_of_part
 
     @property
     def filter(self) -> NavigationFilter:
         """The navigation filter, to be read."""
         return self._filter
+
+    @property
+    def mounting(self) -> MountingEstimate:
+        """The mounting given or found, refined by what the filter has learnt of its pitch and yaw since."""
+        nav, C_b_from_s = self._filter, self._preparation.C_b_from_s
+        pitch_sd = yaw_sd = nav.mount_angle_sd_rad
+        roll_sd, found = pitch_sd, False
+        if self._mounting is not None:
+            finder, found = self._mounting.finder, self._mounting.finder.found
+            C_b_from_s = finder.C_b_from_m @ C_b_from_s
+            evidence = finder.evidence()
+            if finder.agreed:  # the roll is no state of the filter: it changes nothing there
+                roll_rad, _, _ = rpy_from_matrix(evidence.C_b_from_m @ finder.C_b_from_m.T)
+                C_b_from_s = matrix_from_rpy(roll_rad, 0.0, 0.0) @ C_b_from_s
+                roll_sd = evidence.tilt_sd_rad
+        if nav.aligned:
+            variance = np.diag(nav.covariance())
+            pitch_sd, yaw_sd = (
+                math.hypot(math.sqrt(max(variance[i], 0.0)), AXES_SD_RAD) for i in (state.MOUNT_PITCH, state.MOUNT_YAW)
+            )
+            C_b_from_v = matrix_from_rpy(0.0, float(nav.x[state.X_MOUNT_PITCH]), float(nav.x[state.X_MOUNT_YAW]))
+            C_b_from_s = C_b_from_v.T @ C_b_from_s
+        return MountingEstimate(
+            self.config.mounting.known, found, rpy_from_matrix(C_b_from_s), (roll_sd, pitch_sd, yaw_sd)
+        )
 
     def snapshot(self) -> bytes:
         """The whole state as bytes: restored, it goes on to the bit."""
@@ -168,13 +242,17 @@ class Session:
         if session._detector_stage in parts:  # else the vehicle's detector was changed: it starts anew
             session._detector.load(parts[session._detector_stage])
         session._trips.load(parts["trips"])
+        if session._mounting is not None and "mounting" in parts:
+            session._mounting.finder.load(parts["mounting"])
         return session
 
     def _stages(self) -> list[tuple[str, Arrays]]:
+        found = [] if self._mounting is None else [("mounting", self._mounting.finder.arrays())]
         return [
             ("filter", self._filter.arrays()),
             (self._detector_stage, self._detector.state()),
             ("trips", self._trips.state()),
+            *found,
         ]
 
     def _aids(self, m: Measurements) -> Aids:

@@ -72,6 +72,10 @@ class ImpactDetector:
                 impacts.append(impact)
             row += 1
 
+    def turn(self, C_new_from_old: FloatArray) -> None:
+        """Take samples in other body axes from now on."""
+        self._level.turn(C_new_from_old)
+
     def state(self) -> dict[str, npt.NDArray[np.generic]]:
         """Arrays from which ``load`` goes on, to the bit."""
         return {**self._level.state(), "detector.registers": self._registers}

@@ -88,6 +88,10 @@ class LevelMotion:
         self.t_ns, self.x, self.flags = t_ns[:rows], x[:rows], flags[:rows]
         return int(old)
 
+    def turn(self, C_new_from_old: FloatArray) -> None:
+        """Take samples in other body axes from now on: only the carried vertical is in them, rows are level."""
+        self._down_b = np.sum(C_new_from_old * self._down_b, axis=1)
+
     def state(self) -> dict[str, npt.NDArray[np.generic]]:
         """Arrays from which ``load`` goes on."""
         kept = int(np.searchsorted(self.t_ns, self.t_ns[-1] - KEPT_NS)) if self.t_ns.size else 0

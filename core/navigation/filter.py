@@ -23,7 +23,7 @@ from core.navigation.admission import (
     usable_pressures,
     usable_speeds,
 )
-from core.navigation.alignment import SECOND_NS, Aligner, InitialState, next_second_ns
+from core.navigation.alignment import SECOND_NS, Aligner, InitialState, Start, next_second_ns, turned
 from core.navigation.lateness import Recent
 from core.navigation.mechanization import normalised, renew_mounting, start_frame
 from core.navigation.nodes import NODE_WIDTH
@@ -114,6 +114,11 @@ class NavigationFilter:
         self._recent = Recent()
         self.recorder: Recorder | None = None
         """Set by post-processing, which wants more than a stream can keep."""
+        # Told before each step by who knows the mounting, so no part of the state.
+        self.start = Start.AT_REST_TOO
+        self.mount_angle_sd_rad = (
+            config.tuning.mount_angle_sd_rad if config.mount_angle_sd_rad is None else config.mount_angle_sd_rad
+        )
 
     @property
     def aligned(self) -> bool:
@@ -350,12 +355,34 @@ class NavigationFilter:
         if before == len(t_ns):
             return before, _no_track()
         self._hand_aids_over(boundary)
-        found = self._aligner.evaluate(boundary)
+        found = self._aligner.evaluate(boundary, self.start)
         row = self._aligning_row(boundary)
         self._evaluation_ns[0] = next_second_ns(t_ns[before])
         if found is not None:
             self._start(found)
         return before, row
+
+    def turn(self, C_new_from_old: FloatArray, t_ns: int, recent: Series, gnss: Series) -> None:
+        """Take other body axes from ``t_ns`` on, a whole second: align in them, at once if the recent past allows it.
+
+        Parameters
+        ----------
+        C_new_from_old : (3, 3)
+        recent : times (n,) and rows (n, 6) of the specific force and rate before, in the new axes
+        gnss : usable fixes before
+        """
+        for group in (state.X_F, state.X_W):
+            self.x[group : group + 3] = C_new_from_old @ self.x[group : group + 3]
+        magnetic = self._pending.rows[:, 0] == state.K_MAGNETIC
+        self._pending.rows[magnetic, 1:4] = turned(self._pending.rows[magnetic, 1:4], C_new_from_old)
+        if not self.aligned:
+            self._aligner.turn(C_new_from_old)
+            return
+        self._aligned[0] = self._known[0] = False  # biases and angles were learnt in axes that are none of the car's
+        self._evaluation_ns[0] = t_ns
+        self._aligner.forget()
+        self._aligner.add_imu(recent[0], recent[1][:, :3], recent[1][:, 3:])
+        self._aligner.add_aids(gnss, _no_series(3), _no_series())
 
     def _hand_aids_over(self, boundary: int) -> None:
         before = (self._pending.t_ns < boundary) & (self._pending.from_ns <= boundary)
@@ -408,8 +435,7 @@ class NavigationFilter:
         sd[state.GYRO_BIAS : state.GYRO_BIAS + 3] = found.gyro_bias_sd_radps
         sd[state.ACCEL_BIAS : state.ACCEL_BIAS + 3] = t.accel_bias_sd_mps2
         sd[state.SPEED_SCALE] = t.speed_scale_sd
-        mount = t.mount_angle_sd_rad if self.config.mount_angle_sd_rad is None else self.config.mount_angle_sd_rad
-        sd[state.MOUNT_PITCH] = sd[state.MOUNT_YAW] = mount
+        sd[state.MOUNT_PITCH] = sd[state.MOUNT_YAW] = self.mount_angle_sd_rad
         sd[state.GNSS_DELAY] = t.gnss_delay_given_sd_s if self.config.gnss_time_offset_s else t.gnss_delay_sd_s
         sd[state.BARO_BIAS] = t.baro_bias_sd_m
         sd[state.GYRO_SCALE] = t.gyro_scale_sd

@@ -106,6 +106,15 @@ def _text(name: str, found: dict[str, Any]) -> str:
                 f"{span}: {outage['rms_m']:.2f} m RMS, {outage['end_m']:.2f} m at its end,"
                 f" {outage['max_m']:.2f} m at most, over {outage['distance_m']:.0f} m, against {outage['against']}"
             )
+    mounting = found["mounting"]
+    how = "given" if mounting["given"] else "found" if mounting["found"] else "not given, nominal"
+    lines.append(
+        f"mounting {how}: "
+        + ", ".join(
+            f"{name} {angle:.1f}° ± {sd:.1f}°"
+            for name, angle, sd in zip(("roll", "pitch", "yaw"), mounting["rpy_deg"], mounting["sd_deg"], strict=True)
+        )
+    )
     for aid, outcomes in found["aids"].items():
         lines.append(f"  {aid}: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
     lines += denoise_lines(found)

@@ -17,7 +17,7 @@ from core.measurements import GNSS, FloatArray, Measurements, TimeArray
 from core.navigation.filter import FilterConfig
 from core.navigation.track import Mode, Track
 from core.rotation import wrap_angle_rad
-from core.session import Accident, Session, SessionConfig
+from core.session import Accident, MountingEstimate, Session, SessionConfig
 from schemas.vehicles import Calibration, SensorNoise, VehicleConfig
 from service.engine.sessions import session_config, warm_up
 from service.errors import UsageError
@@ -53,13 +53,14 @@ class Outage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fused:
-    """What a session made of a drive: track at the samples' rate, accidents, counts, and the time it took."""
+    """What a session made of a drive: track at the samples' rate, accidents, counts, the mounting, and the time."""
 
     track: Track
     accidents: tuple[Accident, ...]
     counts: dict[str, int]
     epochs: int
     fusion_s: float
+    mounting: MountingEstimate
 
 
 def vehicle_config(
@@ -115,7 +116,7 @@ def fuse(
             counts[name] = counts.get(name, 0) + count
         progress(share)
     track = Track(np.concatenate([t.t_ns for t in tracks]), np.concatenate([t.values for t in tracks]))
-    return Fused(track, tuple(accidents), counts, len(m.imu_t_ns), spent_s)
+    return Fused(track, tuple(accidents), counts, len(m.imu_t_ns), spent_s, session.mounting)
 
 
 def withhold(drive: Drive, outages: Sequence[Outage]) -> Measurements:
@@ -137,6 +138,12 @@ def figures(drive: Drive, fused: Fused, outages: Sequence[Outage]) -> dict[str, 
         "aligned_after_s": None if not navigating.any() else float(track.t_ns[navigating][0] - m.imu_t_ns[0]) * 1e-9,
         "rows": int(placed.sum()),
         "aids": _by_aid(fused.counts),
+        "mounting": {
+            "given": fused.mounting.given,
+            "found": fused.mounting.found,
+            "rpy_deg": [math.degrees(angle) for angle in fused.mounting.rpy_rad],
+            "sd_deg": [math.degrees(angle) for angle in fused.mounting.sd_rad],
+        },
     }
     against, errors = track_errors(drive, track, outages)
     result["against"] = against

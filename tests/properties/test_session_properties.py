@@ -104,13 +104,19 @@ class Told:
         )
 
 
-def config(detector="telefuse"):
-    return SessionConfig(mounting=Mounting(known=True), detector=detector)
+GIVEN = Mounting(known=True)
+TO_BE_FOUND = Mounting((3.0, 0.3, -1.7))
+"""A guess that has the box upside down: the session has to find out that it sits as the car does."""
+MOUNTINGS = st.sampled_from([GIVEN, TO_BE_FOUND])
+
+
+def config(detector="telefuse", mounting=GIVEN):
+    return SessionConfig(mounting=mounting, detector=detector)
 
 
 @functools.cache
-def at_once(name, detector):
-    session = Session(config(detector))
+def at_once(name, detector, mounting=GIVEN):
+    session = Session(config(detector, mounting))
     return Told(session, [session.step(drives()[name])])
 
 
@@ -123,12 +129,14 @@ def test_the_streams_hold_what_they_are_for():
     assert told["wheel speed, from motion"].counts["speed.fused"] > 100
     assert not len(told["no fix"].t_ns)
     assert told["no fix"].accidents.count("Accident(") == 2  # found although nobody knows where
+    for name in ("two crashes and a tunnel", "holes in the samples", "silence of all", "wheel speed, from motion"):
+        assert at_once(name, "telefuse", TO_BE_FOUND).counts["mounting.found"] == 1
 
 
 @pytest.mark.parametrize("name", NAMES)
 @settings(deadline=None, max_examples=20)
-@given(detector=DETECTORS, restore=st.booleans(), data=st.data())
-def test_any_cutting_and_any_restart_between_tell_the_same_bits(name, detector, restore, data):
+@given(detector=DETECTORS, mounting=MOUNTINGS, restore=st.booleans(), data=st.data())
+def test_any_cutting_and_any_restart_between_tell_the_same_bits(name, detector, mounting, restore, data):
     m = drives()[name]
     first, last = int(m.imu_t_ns[0]), int(m.imu_t_ns[-1])
     cuts = data.draw(st.lists(st.integers(first - S, last + S), max_size=40))
@@ -137,19 +145,20 @@ def test_any_cutting_and_any_restart_between_tell_the_same_bits(name, detector, 
     if seconds:
         cuts += range(first // S * S, last, seconds * S)
     bounds = [-(1 << 62), *sorted(cuts), 1 << 62]
-    session, outputs = Session(config(detector)), []
+    session, outputs = Session(config(detector, mounting)), []
     for low, high in pairwise(bounds):
         outputs.append(session.step(m.between(low, high)))
         if restore and len(outputs) % 5 == 0:
-            session = Session.restore(config(detector), session.snapshot())
-    assert Told(session, outputs) == at_once(name, detector)
+            session = Session.restore(config(detector, mounting), session.snapshot())
+    assert Told(session, outputs) == at_once(name, detector, mounting)
 
 
-def test_one_sample_at_a_time_tells_the_same_bits():
+@pytest.mark.parametrize("mounting", [GIVEN, TO_BE_FOUND])
+def test_one_sample_at_a_time_tells_the_same_bits(mounting):
     m = from_to(simulated("tunnel_crash", 1, 430.0), 175.0, 225.0)
-    whole = Session(config())
+    whole = Session(config(mounting=mounting))
     expected = Told(whole, [whole.step(m)])
-    session = Session(config())
+    session = Session(config(mounting=mounting))
     edges = [-(1 << 62), *(int(t) for t in m.imu_t_ns[1:]), 1 << 62]
     outputs = [session.step(m.between(low, high)) for low, high in pairwise(edges)]
     assert Told(session, outputs) == expected
@@ -176,9 +185,10 @@ def test_what_comes_again_or_too_late_changes_nothing(data):
     )  # fmt: skip
 
 
-def test_empty_measurements_change_nothing():
+@pytest.mark.parametrize("mounting", [GIVEN, TO_BE_FOUND])
+def test_empty_measurements_change_nothing(mounting):
     m = from_to(simulated("tunnel_crash", 1, 430.0), 0.0, 100.0)
-    session = Session(config())
+    session = Session(config(mounting=mounting))
     session.step(m)
     before = session.snapshot()
     for _ in range(3):
@@ -238,9 +248,9 @@ def assert_sound(session):
 
 
 @settings(deadline=None, max_examples=100)
-@given(seed=st.integers(0, 2**32 - 1), detector=DETECTORS)
-def test_nothing_in_a_stream_breaks_a_session_and_it_finds_itself_again(seed, detector):
-    session = Session(config(detector))
+@given(seed=st.integers(0, 2**32 - 1), detector=DETECTORS, mounting=MOUNTINGS)
+def test_nothing_in_a_stream_breaks_a_session_and_it_finds_itself_again(seed, detector, mounting):
+    session = Session(config(detector, mounting))
     for part in damaged(np.random.default_rng(seed)):
         outputs = session.step(part)
         assert_sound(session)

@@ -61,7 +61,7 @@ def causal(recorder: Recorder, imu_lever_b_m: FloatArray) -> Solution:
     return _solution(recorder.track(), t_ns, table, _Errors(nothing, nothing, covariance), imu_lever_b_m, False)
 
 
-def smooth(recorder: Recorder, imu_lever_b_m: FloatArray) -> Solution:
+def smoothed(recorder: Recorder, imu_lever_b_m: FloatArray) -> Solution:
     """The whole drive's measurements in every row; parameters as of ``causal``.
 
     Nothing flows back over an alignment or a reset of the position: there the filter began anew.
@@ -90,8 +90,8 @@ def _smooth_stretch(table: FloatArray, after: FloatArray, before: FloatArray, co
         gain = (cho_solve(factor, (phi @ p) / spread[:, None], check_finite=False) / spread[:, None]).T
         after[k] = gain @ before[k + 1]
         before[k] = _moved(table[k]) + after[k]
-        smoothed = p + gain @ (covariance[k + 1] - predicted) @ gain.T
-        covariance[k] = 0.5 * (smoothed + smoothed.T)
+        narrowed = p + gain @ (covariance[k + 1] - predicted) @ gain.T
+        covariance[k] = 0.5 * (narrowed + narrowed.T)
 
 
 def _covariance(row: FloatArray) -> FloatArray:
@@ -155,18 +155,18 @@ def _vehicle_map(x: FloatArray, imu_lever_b_m: FloatArray) -> FloatArray:
 
 
 def _solution(
-    track: Track, t_ns: TimeArray, table: FloatArray, errors: _Errors, imu_lever_b_m: FloatArray, smoothed: bool
+    track: Track, t_ns: TimeArray, table: FloatArray, errors: _Errors, imu_lever_b_m: FloatArray, whole: bool
 ) -> Solution:
     nominal = table[:, node.N_AFTER : node.N_AFTER + node.N_NOMINAL]
     maps = np.array([_vehicle_map(x, imu_lever_b_m) for x in nominal]).reshape(-1, 9, N_STATES)
     covariance = maps @ errors.covariance @ maps.transpose(0, 2, 1)
     slow = nominal[:, node.S_SLOW :] + errors.after[:, GYRO_BIAS:]
     variances = np.diagonal(errors.covariance, axis1=1, axis2=2)[:, GYRO_BIAS:]
-    if smoothed and len(t_ns):
+    if whole and len(t_ns):
         after = np.einsum("kij,kj->ki", maps, errors.after)
         before = np.einsum("kij,kj->ki", maps, errors.before)
         track = _corrected(track, t_ns, after, before, covariance)
-    return Solution(track, t_ns, covariance, slow, np.sqrt(np.maximum(variances, 0.0)), smoothed)
+    return Solution(track, t_ns, covariance, slow, np.sqrt(np.maximum(variances, 0.0)), whole)
 
 
 def _corrected(track: Track, t_ns: TimeArray, after: FloatArray, before: FloatArray, covariance: FloatArray) -> Track:

@@ -72,7 +72,7 @@ class Tuning(Tunables):
         0.02, unit="1", low=1e-3, high=1, source="code noise of a smoothed fix is at least a seventh of its error"
     )
     gnss_delay_sd_s: float = tunable(
-        0.05, unit="s", low=0, high=1, source="time stamps by the host instead of the receiver's pulse: 0-0.1 s"
+        0.02, unit="s", low=0, high=1, source="time stamps by the host instead of the receiver's pulse: some 0.02 s"
     )
     gnss_delay_given_sd_s: float = tunable(
         0.01, unit="s", low=0, high=1, source="choice: an offset that was measured and is set"

@@ -14,6 +14,7 @@ from service.cli.progress import Progress
 from service.errors import UsageError
 from service.recordings.drive_folder import Drive, read_drive
 from service.recordings.fusing import Fused, Outage, fuse, fuse_config, vehicle_config
+from service.recordings.fusing_ecef import fuse_ecef
 
 _Settings = TypeVar("_Settings", bound=Model)
 
@@ -54,7 +55,16 @@ def open_drive(arguments: argparse.Namespace, **switches: Any) -> tuple[Drive, S
     return drive, fuse_config(vehicle_config(drive, calibration, noise), **switches)
 
 
-def fuse_with_progress(drive: Drive, config: SessionConfig, outages: list[Outage]) -> Fused:
-    """Fuse, with a bar on a terminal."""
+def fuse_ecef_with_progress(drive: Drive, config: SessionConfig, outages: list[Outage]) -> Fused:
+    """Run the mobile-mapping paper's filter, with a bar; without attitude.csv our own filter goes before it."""
+    ours = None if drive.attitude is not None else fuse_with_progress(drive, config, outages, keep=True)
+    with Progress("fusing in ECEF", 100) as progress:
+        return fuse_ecef(drive, config, outages, ours, lambda share: progress.update(int(100 * share)))
+
+
+def fuse_with_progress(
+    drive: Drive, config: SessionConfig, outages: list[Outage], *, keep: bool = False, smooth: bool = False
+) -> Fused:
+    """Fuse, with a bar on a terminal; ``keep`` and ``smooth`` as of ``fuse``."""
     with Progress("fusing", 100) as progress:
-        return fuse(drive, config, outages, lambda share: progress.update(int(100 * share)))
+        return fuse(drive, config, outages, lambda share: progress.update(int(100 * share)), keep=keep, smooth=smooth)

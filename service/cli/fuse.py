@@ -5,17 +5,22 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from core.navigation.road_profile import SPACING_M
 from core.navigation.track import Track
 from service.cli.denoising import denoise_lines, denoise_with_progress
-from service.cli.drives import add_drive, fuse_with_progress, open_drive
+from service.cli.drives import add_drive, fuse_ecef_with_progress, fuse_with_progress, open_drive
 from service.errors import UsageError
+from service.recordings.drive_folder import Drive
 from service.recordings.exporters import TrackFile, check_ending, export_track
-from service.recordings.fusing import Outage, figures
+from service.recordings.fusing import Fused, Outage, figures
+from service.recordings.mapping import Mapping, mapping_text
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -31,11 +36,43 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="START:DURATION",
         help="withhold GNSS for that span, in seconds of the drive, and tell the error in it; may be repeated",
     )
+    parser.add_argument(
+        "--filter",
+        choices=("ned", "ecef"),
+        default="ned",
+        help="ned: the one that the service streams through (default); ecef: the mobile-mapping paper's, with the"
+        " attitude of attitude.csv or, without it, of the ned filter; it knows no constraints and no wheel speed",
+    )
+    parser.add_argument(
+        "--poses",
+        type=Path,
+        metavar="TIMES.csv",
+        help="give position, attitude and their covariance at these instants (a column t_s, seconds of the drive)",
+    )
+    parser.add_argument(
+        "--poses-out", type=Path, metavar="FILE.csv", help="where poses go (default: TIMES_poses.csv beside TIMES.csv)"
+    )
+    parser.add_argument(
+        "--profile",
+        type=Path,
+        metavar="ROAD",
+        help="write the road driven, its line in 3-D with height, grade and banking: .geojson, .csv or .csv.gz",
+    )
+    parser.add_argument(
+        "--profile-spacing",
+        type=float,
+        default=SPACING_M,
+        metavar="M",
+        help=f"distance between the points of the profile (default: {SPACING_M:g} m)",
+    )
     parser.add_argument("--every", type=float, default=0.0, metavar="S", help="thin the rows to one each S seconds")
     parser.add_argument(
         "--denoise",
         action="store_true",
         help="denoise the inertial samples by wavelets first, and tell the figures with and without",
+    )
+    parser.add_argument(
+        "--smooth", action="store_true", help="let the whole drive enter each row, backwards through every outage too"
     )
     parser.add_argument("--no-nhc", action="store_true", help="without non-holonomic constraints")
     parser.add_argument("--no-zupt", action="store_true", help="without zero-velocity updates")
@@ -49,6 +86,9 @@ def run(arguments: argparse.Namespace) -> int:
     out: Path | None = arguments.out
     if out is not None:
         check_ending(out)
+    if arguments.smooth and arguments.filter == "ecef":
+        raise UsageError("--smooth goes with --filter ned: the paper's filter runs forward only")
+    mapping = Mapping.asked(arguments.poses, arguments.poses_out, arguments.profile, arguments.profile_spacing)
     outages = [Outage.parse(text) for text in arguments.outage]
     drive, config = open_drive(arguments, non_holonomic=not arguments.no_nhc, zero_velocity=not arguments.no_zupt)
     span_s = float(drive.measurements.imu_t_ns[-1] - drive.start_t_ns) * 1e-9
@@ -57,14 +97,23 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(
                 f"outage {outage.start_s:g}:{outage.duration_s:g} begins after the drive's end at {span_s:g} s"
             )
+    instants = mapping.instants(drive)
+    run_filter: Callable[[Drive], Fused]
+    if arguments.filter == "ecef":
+        run_filter = partial(fuse_ecef_with_progress, config=config, outages=outages)
+    else:
+        keep = mapping.wanted
+        run_filter = partial(fuse_with_progress, config=config, outages=outages, keep=keep, smooth=arguments.smooth)
     denoised = denoise_with_progress(drive) if arguments.denoise else None
-    fused = fuse_with_progress(drive if denoised is None else denoised.drive, config, outages)
+    fused = run_filter(drive if denoised is None else denoised.drive)
     if out is not None:
         export_track(out, TrackFile(_written(fused.track, arguments.every), drive.start_t_ns, drive.name))
     found = figures(drive, fused, outages) | {"out": None if out is None else str(out)}
     if denoised is not None:
-        raw = figures(drive, fuse_with_progress(drive, config, outages), outages)
+        raw = figures(drive, run_filter(drive), outages)
         found["denoise"] = denoised.figures() | {"without": raw}
+    if fused.solution is not None:
+        found |= mapping.write(drive, config, fused.solution, instants)
     print(json.dumps(found, default=float) if arguments.json else _text(drive.name, found))
     return 0
 
@@ -118,6 +167,7 @@ def _text(name: str, found: dict[str, Any]) -> str:
     for aid, outcomes in found["aids"].items():
         lines.append(f"  {aid}: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
     lines += denoise_lines(found)
+    lines += mapping_text(found)
     if found["out"]:
         lines.append(f"written: {found['out']}")
     return "\n".join(lines)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +16,7 @@ from core.measurements import FloatArray, TimeArray
 from core.navigation.track import TRACK, Mode, Track
 from service.errors import UsageError
 from service.recordings.csv_tables import format_table, gzip_bytes, time_column
+from service.recordings.files import write_whole
 
 _COLUMNS: Final = (
     # column in the file, column of a track row, format in CSV
@@ -68,20 +67,7 @@ def check_ending(path: Path) -> None:
 
 def export_track(path: Path, content: TrackFile) -> None:
     """Write a track whole or not at all; raises UsageError for an unknown ending or a place not writable."""
-    data = _WRITERS[_ending(path)](content)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror}") from error
+    write_whole(path, _WRITERS[_ending(path)](content))
 
 
 def _ending(path: Path) -> str:

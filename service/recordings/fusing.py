@@ -15,6 +15,10 @@ import numpy.typing as npt
 from core.earth import ned_offset_m
 from core.measurements import GNSS, FloatArray, Measurements, TimeArray
 from core.navigation.filter import FilterConfig
+from core.navigation.recorder import Recorder
+from core.navigation.records import AidRecords
+from core.navigation.smoother import causal, smoothed
+from core.navigation.solution import Solution
 from core.navigation.track import Mode, Track
 from core.rotation import wrap_angle_rad
 from core.session import Accident, MountingEstimate, Session, SessionConfig
@@ -53,7 +57,10 @@ class Outage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fused:
-    """What a session made of a drive: track at the samples' rate, accidents, counts, the mounting, and the time."""
+    """What a session made of a drive: track at the samples' rate, accidents, counts, the mounting, and the time.
+
+    ``solution`` and ``records`` where they were asked for.
+    """
 
     track: Track
     accidents: tuple[Accident, ...]
@@ -61,6 +68,8 @@ class Fused:
     epochs: int
     fusion_s: float
     mounting: MountingEstimate
+    solution: Solution | None = None
+    records: AidRecords | None = None
 
 
 def vehicle_config(
@@ -97,11 +106,20 @@ def fuse(
     config: SessionConfig,
     outages: Sequence[Outage] = (),
     progress: Callable[[float], None] = lambda share: None,
+    *,
+    keep: bool = False,
+    smooth: bool = False,
 ) -> Fused:
-    """Fold a drive, without the fixes inside ``outages``, through a session."""
+    """Fold a drive, without the fixes inside ``outages``, through a session.
+
+    ``keep`` brings the solution's covariance and the records of the aids; ``smooth`` does as well, and lets the whole
+    drive enter each row.
+    """
     warm_up()
     m = withhold(drive, outages)
     session = Session(config)
+    recorder = Recorder() if keep or smooth else None
+    session.filter.recorder = recorder
     tracks: list[Track] = []
     accidents: list[Accident] = []
     counts: dict[str, int] = {}
@@ -116,7 +134,16 @@ def fuse(
             counts[name] = counts.get(name, 0) + count
         progress(share)
     track = Track(np.concatenate([t.t_ns for t in tracks]), np.concatenate([t.values for t in tracks]))
-    return Fused(track, tuple(accidents), counts, len(m.imu_t_ns), spent_s, session.mounting)
+    solution = records = None
+    if recorder is not None:
+        lever_b_m = np.array(config.filter.imu_lever_b_m)
+        solution = smoothed(recorder, lever_b_m) if smooth else causal(recorder, lever_b_m)
+        records = recorder.aid_records()
+        if smooth:
+            track = solution.track
+    return Fused(
+        track, tuple(accidents), counts, len(m.imu_t_ns), spent_s, session.mounting, solution=solution, records=records
+    )
 
 
 def withhold(drive: Drive, outages: Sequence[Outage]) -> Measurements:
@@ -137,6 +164,7 @@ def figures(drive: Drive, fused: Fused, outages: Sequence[Outage]) -> dict[str, 
         "ns_per_epoch": 1e9 * fused.fusion_s / max(fused.epochs, 1),
         "aligned_after_s": None if not navigating.any() else float(track.t_ns[navigating][0] - m.imu_t_ns[0]) * 1e-9,
         "rows": int(placed.sum()),
+        "smoothed": fused.solution is not None and fused.solution.smoothed,
         "aids": _by_aid(fused.counts),
         "mounting": {
             "given": fused.mounting.given,

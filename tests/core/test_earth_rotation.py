@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pymap3d
 import pytest
 
 from core.earth import (
     EARTH_RATE_RADPS,
     SEMI_MAJOR_M,
+    ecef_from_geodetic,
+    geodetic_from_ecef,
     gravity_mps2,
     horizontal_distance_m,
+    matrix_e_from_n,
     ned_offset_m,
     radii_m,
 )
@@ -96,3 +100,22 @@ def test_angles_are_wrapped_into_one_turn():
     assert ((wrapped >= -math.pi) & (wrapped < math.pi)).all()
     assert np.cos(wrapped) == pytest.approx(np.cos(angles), abs=1e-12)
     assert np.sin(wrapped) == pytest.approx(np.sin(angles), abs=1e-12)
+
+
+@pytest.mark.parametrize("lat_deg", [-75.0, -33.9, 0.0, 45.0, 89.0])
+@pytest.mark.parametrize("alt_m", [-400.0, 0.0, 9000.0])
+def test_ecef_and_back(lat_deg, alt_m):
+    lat, lon = math.radians(lat_deg), math.radians(-123.4)
+    place = ecef_from_geodetic(lat, lon, alt_m)
+    assert place == pytest.approx(pymap3d.geodetic2ecef(lat_deg, -123.4, alt_m), abs=1e-8)
+    back = geodetic_from_ecef(*place)
+    # 1e-14 rad is 0.06 um; heights lose the last digits of 6e6 m.
+    assert back[:2] == pytest.approx((lat, lon), abs=1e-14)
+    assert back[2] == pytest.approx(alt_m, abs=1e-8)
+
+
+def test_north_east_down_of_a_place():
+    north_east_down = np.array([300.0, -200.0, 50.0])
+    moved = matrix_e_from_n(0.7, 2.1) @ north_east_down
+    expected = pymap3d.enu2ecefv(-200.0, 300.0, -50.0, math.degrees(0.7), math.degrees(2.1))
+    assert moved == pytest.approx(np.array(expected), abs=1e-9)

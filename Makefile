@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 WORKERS ?= 2
 
-.PHONY: setup demo test check bench format lock proto docs clean
+.PHONY: setup browser demo test check bench format lock proto docs clean
 
 setup: $(READY)
 
@@ -18,6 +18,13 @@ $(READY): requirements/lock.txt requirements/bootstrap.txt pyproject.toml
 	$(BIN)/uv pip sync --quiet --require-hashes --python $(BIN)/python requirements/lock.txt
 	$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation --editable .
 	@touch $@
+
+# For tests/browser, which are skipped, visibly, where there is none. Debian's, as one that pip brings needs its libraries.
+browser:
+	@if command -v chromium >/dev/null; then :; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  apt-get update --quiet=2 && DEBIAN_FRONTEND=noninteractive apt-get install --quiet=2 --yes --no-install-recommends chromium; \
+	else echo "no Chromium: tests/browser will be skipped" >&2; fi
 
 # DEMO="--drive DIR" plays a recording instead of the simulated drive; DEMO=--exit ends when done.
 demo: setup

@@ -43,7 +43,7 @@ class NoiseAllowance(Tunables):
         unit="rad/s/sqrt(s)",
         low=0,
         high=1e-2,
-        source="choice: 1 deg/h in a minute, beside the stated instability; 5e-6 to 2e-5 do alike on kth_stockholm and boston_vn100",
+        source="choice: 1 deg/h in a minute, beside what the stated instability gives",
     )
     accel_bias_walk_mps3_rts: float = tunable(
         5.0e-5,

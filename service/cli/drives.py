@@ -49,10 +49,16 @@ def read_settings(path: Path | None, form: type[_Settings], expected: str) -> _S
 
 def open_drive(arguments: argparse.Namespace, **switches: Any) -> tuple[Drive, SessionConfig]:
     """The drive and the settings of its session; ``switches`` as of ``fuse_config``."""
-    drive = read_drive(arguments.drive)
+    drive = read_with_progress(arguments.drive)
     calibration = read_settings(arguments.calibration, Calibration, "a calibration as PUT …/calibration takes")
     noise = read_settings(arguments.noise, SensorNoise, "what 'telefuse noise --json' prints: SI units")
     return drive, fuse_config(vehicle_config(drive, calibration, noise), **switches)
+
+
+def read_with_progress(folder: Path) -> Drive:
+    """Read a drive folder, with a bar on a terminal."""
+    with Progress("reading", 100) as progress:
+        return read_drive(folder, lambda share: progress.update(int(100 * share)))
 
 
 def fuse_ecef_with_progress(drive: Drive, config: SessionConfig, outages: list[Outage]) -> Fused:

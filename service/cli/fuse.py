@@ -16,11 +16,14 @@ from core.navigation.road_profile import SPACING_M
 from core.navigation.track import Track
 from service.cli.denoising import denoise_lines, denoise_with_progress
 from service.cli.drives import add_drive, fuse_ecef_with_progress, fuse_with_progress, open_drive
+from service.cli.progress import Progress
 from service.errors import UsageError
 from service.recordings.drive_folder import Drive
 from service.recordings.exporters import TrackFile, check_ending, export_track
+from service.recordings.files import write_whole
 from service.recordings.fusing import Fused, Outage, figures
 from service.recordings.mapping import Mapping, mapping_text
+from service.reports.navigation import NavigationReport
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -74,6 +77,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--smooth", action="store_true", help="let the whole drive enter each row, backwards through every outage too"
     )
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="FILE.html",
+        help="page to write: map, errors, aids and biases as interactive plots, without any network",
+    )
     parser.add_argument("--no-nhc", action="store_true", help="without non-holonomic constraints")
     parser.add_argument("--no-zupt", action="store_true", help="without zero-velocity updates")
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
@@ -89,6 +98,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.smooth and arguments.filter == "ecef":
         raise UsageError("--smooth goes with --filter ned: the paper's filter runs forward only")
     mapping = Mapping.asked(arguments.poses, arguments.poses_out, arguments.profile, arguments.profile_spacing)
+    report: Path | None = arguments.report
+    if report is not None and report.suffix.lower() != ".html":
+        raise UsageError(f"--report {report}: unknown file ending; expected .html")
     outages = [Outage.parse(text) for text in arguments.outage]
     drive, config = open_drive(arguments, non_holonomic=not arguments.no_nhc, zero_velocity=not arguments.no_zupt)
     span_s = float(drive.measurements.imu_t_ns[-1] - drive.start_t_ns) * 1e-9
@@ -102,18 +114,27 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.filter == "ecef":
         run_filter = partial(fuse_ecef_with_progress, config=config, outages=outages)
     else:
-        keep = mapping.wanted
+        keep = mapping.wanted or report is not None
         run_filter = partial(fuse_with_progress, config=config, outages=outages, keep=keep, smooth=arguments.smooth)
     denoised = denoise_with_progress(drive) if arguments.denoise else None
     fused = run_filter(drive if denoised is None else denoised.drive)
     if out is not None:
-        export_track(out, TrackFile(_written(fused.track, arguments.every), drive.start_t_ns, drive.name))
+        rows = _written(fused.track, arguments.every)
+        content = TrackFile(rows, drive.start_t_ns, drive.name, drive.gnss_alt_is_msl)
+        with Progress(f"writing {out.name}", 100) as progress:
+            export_track(out, content, lambda share: progress.update(int(100 * share)))
     found = figures(drive, fused, outages) | {"out": None if out is None else str(out)}
     if denoised is not None:
         raw = figures(drive, run_filter(drive), outages)
         found["denoise"] = denoised.figures() | {"without": raw}
     if fused.solution is not None:
         found |= mapping.write(drive, config, fused.solution, instants)
+    found["report"] = None if report is None else str(report)
+    if report is not None:
+        page = NavigationReport(drive, config, outages, fused, found, fused.solution, fused.records)
+        with Progress(f"writing {report.name}", 1) as progress:
+            progress.update(0)
+            write_whole(report, page.html().encode())
     print(json.dumps(found, default=float) if arguments.json else _text(drive.name, found))
     return 0
 
@@ -170,4 +191,6 @@ def _text(name: str, found: dict[str, Any]) -> str:
     lines += mapping_text(found)
     if found["out"]:
         lines.append(f"written: {found['out']}")
+    if found["report"]:
+        lines.append(f"written: {found['report']}")
     return "\n".join(lines)

@@ -19,9 +19,10 @@ from schemas.telemetry_pb2 import TelemetryPacket
 from service.blackbox.box import WINDOW, BlackBox, Link
 from service.blackbox.http_link import HttpLink
 from service.blackbox.zenoh_link import ZenohLink
+from service.cli.drives import read_with_progress
 from service.cli.progress import Progress
 from service.errors import UsageError
-from service.recordings.drive_folder import Drive, read_drive
+from service.recordings.drive_folder import Drive
 from service.recordings.packets import drive_packets
 
 EXIT_UNACKNOWLEDGED: Final = 1
@@ -89,7 +90,7 @@ class Replayed:
 def run(arguments: argparse.Namespace) -> int:
     """Replay; 1 if something stayed unacknowledged."""
     _check(arguments)
-    drive = read_drive(arguments.drive)
+    drive = read_with_progress(arguments.drive)
     boot_id = arguments.boot_id or boot_of(drive)
     packets = [
         packet

@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -20,8 +21,16 @@ NS_PER_S: Final = 1_000_000_000
 _MAX_ABS_TIME_S: Final = 1e9
 """A drive's own clock may start anywhere, but not 30 years off: that is a wrong unit."""
 _BLOCK_ROWS: Final = 50_000
-"""Rows written at a time, so that a drive of hours needs little memory."""
+"""Rows read or written at a time, so that a drive of hours shows its progress and needs little memory."""
 _EMPTY_CELL: Final = re.compile(r"(?:^|(?<=,))[ \t]*(?=,|$)", re.MULTILINE)
+
+
+Share = Callable[[float], None]
+"""Is told what share of the work is done, 0 to 1."""
+
+
+def untold(share: float) -> None:
+    """Nobody wants to know how far the work is."""
 
 
 def find_table(folder: Path, name: str) -> Path | None:
@@ -32,7 +41,9 @@ def find_table(folder: Path, name: str) -> Path | None:
     return found[0] if found else None
 
 
-def read_table(path: Path, required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, FloatArray]:
+def read_table(
+    path: Path, required: Sequence[str], optional: Sequence[str] = (), progress: Share = untold
+) -> dict[str, FloatArray]:
     """Columns of a table by name, each (n,): all of ``required`` and those of ``optional`` that are there.
 
     Empty cells are NaN, other columns are ignored, ``t_s`` must be there for every row and increase.
@@ -52,9 +63,7 @@ def read_table(path: Path, required: Sequence[str], optional: Sequence[str] = ()
     if '"' not in body and (",," in body or ",\n" in body or "\n," in body or body.startswith(",")):
         body = _EMPTY_CELL.sub("nan", body)
     try:
-        values = np.loadtxt(
-            io.StringIO(body), delimiter=",", usecols=positions, ndmin=2, comments=None, quotechar='"', dtype=np.float64
-        )
+        values = _read_fast(body, positions, progress)
     except ValueError:
         values = _read_slowly(path, text, wanted, positions)
     table = {name: np.ascontiguousarray(values[:, index]) for index, name in enumerate(wanted)}
@@ -68,7 +77,7 @@ def times_ns(t_s: FloatArray, start_t_ns: int) -> TimeArray:
     return start_t_ns + whole.astype(np.int64) * NS_PER_S + np.rint((t_s - whole) * NS_PER_S).astype(np.int64)
 
 
-def format_table(columns: Mapping[str, tuple[npt.ArrayLike, str]]) -> str:
+def format_table(columns: Mapping[str, tuple[npt.ArrayLike, str]], progress: Share = untold) -> str:
     """A table as CSV text: each column with its ``%`` format; NaN gives an empty cell."""
     template = ",".join(style for _, style in columns.values())
     series = [np.asarray(values) for values, _ in columns.values()]
@@ -76,6 +85,7 @@ def format_table(columns: Mapping[str, tuple[npt.ArrayLike, str]]) -> str:
     for first in range(0, len(series[0]), _BLOCK_ROWS):
         rows = zip(*(values[first : first + _BLOCK_ROWS].tolist() for values in series), strict=True)
         lines += [template % row for row in rows]
+        progress(min(1.0, (first + _BLOCK_ROWS) / len(series[0])))
     return re.sub(r"(?<=[,\n])nan(?=[,\n])", "", "\n".join(lines) + "\n")
 
 
@@ -98,6 +108,21 @@ def _read_text(path: Path) -> str:
         return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except (OSError, EOFError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: cannot be read: {error}; expected a CSV file in UTF-8") from error
+
+
+def _read_fast(body: str, positions: Sequence[int], progress: Share) -> FloatArray:
+    """All rows, a block at a time; raises ValueError where one is no row of numbers."""
+    lines, blocks, done = io.StringIO(body), [], 0
+    while done < len(body):
+        blocks.append(
+            np.loadtxt(
+                itertools.islice(lines, _BLOCK_ROWS),
+                delimiter=",", usecols=positions, ndmin=2, comments=None, quotechar='"', dtype=np.float64,
+            )
+        )  # fmt: skip
+        done = lines.tell()
+        progress(done / len(body))
+    return np.concatenate(blocks)
 
 
 def _read_slowly(path: Path, text: str, wanted: Sequence[str], positions: Sequence[int]) -> FloatArray:

@@ -20,12 +20,14 @@ from core.measurements import GNSS, GNSS_COLUMNS, FloatArray, Measurements, Time
 from service.errors import RecordingError
 from service.recordings.csv_tables import (
     NS_PER_S,
+    Share,
     find_table,
     format_table,
     gzip_bytes,
     read_table,
     time_column,
     times_ns,
+    untold,
 )
 from service.recordings.drive_toml import DriveHeader, Driver, GnssSetup, ImuSetup, header_text, read_header
 
@@ -89,8 +91,11 @@ class Drive:
         return (t_ns - self.start_t_ns) / NS_PER_S
 
 
-def read_drive(folder: Path | str) -> Drive:
-    """Read a drive folder; raises RecordingError with file, line, column and what was expected."""
+def read_drive(folder: Path | str, progress: Share = untold) -> Drive:
+    """Read a drive folder; raises RecordingError with file, line, column and what was expected.
+
+    ``progress`` follows the two long tables, those of the inertial samples and the reference.
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise RecordingError(f"{folder}: no such folder; expected a drive folder with drive.toml and imu.csv")
@@ -99,7 +104,8 @@ def read_drive(folder: Path | str) -> Drive:
     gnss_t_ns, gnss_rows, is_msl = _read_gnss(folder, start_t_ns)
     if find_table(folder, "imu.csv") is None:
         raise RecordingError(f"{folder}: imu.csv is missing (or imu.csv.gz); a drive folder needs it")
-    imu_t_ns, imu = _series(folder, "imu.csv", IMU_CSV_COLUMNS, start_t_ns)
+    imu_share = _imu_share(folder)
+    imu_t_ns, imu = _series(folder, "imu.csv", IMU_CSV_COLUMNS, start_t_ns, lambda share: progress(imu_share * share))
     if not imu_t_ns.size:
         raise RecordingError(f"{folder}: imu.csv has a header and no rows; expected at least one sample")
     magnetometer_t_ns, magnetic_s_ut = _series(folder, "magnetometer.csv", MAGNETOMETER_CSV_COLUMNS, start_t_ns)
@@ -128,7 +134,7 @@ def read_drive(folder: Path | str) -> Drive:
         gnss=header.gnss,
         driver=header.driver,
         gnss_alt_is_msl=is_msl,
-        reference=_read_reference(folder, start_t_ns),
+        reference=_read_reference(folder, start_t_ns, lambda share: progress(imu_share + (1.0 - imu_share) * share)),
         attitude=_read_attitude(folder, start_t_ns),
         truth=_read_truth(folder / "truth.json"),
     )
@@ -225,12 +231,21 @@ def _reference_columns(reference: Reference) -> dict[str, tuple[npt.ArrayLike, s
     }
 
 
-def _series(folder: Path, name: str, columns: tuple[str, ...], start_t_ns: int) -> tuple[TimeArray, FloatArray]:
+def _imu_share(folder: Path) -> float:
+    """What the inertial table is of both long tables, by their bytes."""
+    paths = (find_table(folder, name) for name in ("imu.csv", "reference.csv"))
+    imu, reference = (0 if path is None else path.stat().st_size for path in paths)
+    return imu / max(imu + reference, 1)
+
+
+def _series(
+    folder: Path, name: str, columns: tuple[str, ...], start_t_ns: int, progress: Share = untold
+) -> tuple[TimeArray, FloatArray]:
     """Times and the other columns of a table; no rows if the folder has no such table."""
     path = find_table(folder, name)
     if path is None:
         return np.empty(0, dtype=np.int64), np.empty((0, len(columns) - 1))
-    table = read_table(path, columns)
+    table = read_table(path, columns, progress=progress)
     return times_ns(table["t_s"], start_t_ns), np.column_stack([table[column] for column in columns[1:]])
 
 
@@ -278,10 +293,10 @@ def _read_barometer(folder: Path, start_t_ns: int) -> tuple[TimeArray, FloatArra
     return t_ns[there], pressure_pa
 
 
-def _read_reference(folder: Path, start_t_ns: int) -> Reference | None:
+def _read_reference(folder: Path, start_t_ns: int, progress: Share) -> Reference | None:
     if find_table(folder, "reference.csv") is None:
         return None
-    t_ns, rows = _series(folder, "reference.csv", REFERENCE_CSV_COLUMNS, start_t_ns)
+    t_ns, rows = _series(folder, "reference.csv", REFERENCE_CSV_COLUMNS, start_t_ns, progress)
     return Reference(
         t_ns=t_ns,
         lat_rad=np.radians(rows[:, 0]),

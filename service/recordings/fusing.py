@@ -180,7 +180,9 @@ def figures(drive: Drive, fused: Fused, outages: Sequence[Outage]) -> dict[str, 
         return result | missing | {"outages": [_not_compared(outage, against) for outage in outages]}
     result["position_rms_m"] = _rms(errors.horizontal_m) if against == "reference" else None
     result["gnss_rms_m"] = _rms(errors.horizontal_m) if against == "gnss" else None
-    result["yaw_rms_deg"] = None if errors.yaw_rad is None else math.degrees(_rms(errors.yaw_rad))
+    result["yaw_rms_deg"] = (
+        None if errors.yaw_rad is None else math.degrees(_rms(errors.yaw_rad[np.isfinite(errors.yaw_rad)]))
+    )
     result["offset_ned_m"] = None if errors.offset_n_m is None else [float(v) for v in errors.offset_n_m]
     result["position_rms_offset_removed_m"] = None if errors.freed_m is None else _rms(errors.freed_m)
     parts, all_errors = [], []
@@ -229,9 +231,11 @@ def _not_compared(outage: Outage, against: str | None) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackErrors:
-    """Track against truth at instants ``t_s``: horizontal error, and the same freed of a constant offset."""
+    """Track against truth at instants ``t_ns``: error, its horizontal length, the same freed of a constant offset."""
 
+    t_ns: TimeArray
     t_s: FloatArray
+    ned_m: FloatArray
     horizontal_m: FloatArray
     freed_m: FloatArray | None
     offset_n_m: FloatArray | None
@@ -277,10 +281,10 @@ def track_errors(drive: Drive, track: Track, outages: Sequence[Outage]) -> tuple
     yaw_error = None
     if yaw is not None and np.isfinite(yaw).any():
         fused_yaw = np.interp(t_ns, track.t_ns, np.unwrap(track.column("yaw_rad")))
-        difference = wrap_angle_rad(fused_yaw - yaw)
-        yaw_error = difference[np.isfinite(difference)]
+        yaw_error = np.asarray(wrap_angle_rad(fused_yaw - yaw))
     name = "gnss" if reference is None else "reference"
-    return name, TrackErrors(t_s, np.hypot(error_n[:, 0], error_n[:, 1]), freed, offset, yaw_error, lat, lon)
+    horizontal = np.hypot(error_n[:, 0], error_n[:, 1])
+    return name, TrackErrors(t_ns, t_s, error_n, horizontal, freed, offset, yaw_error, lat, lon)
 
 
 def _at(t_ns: TimeArray, track: Track, name: str) -> FloatArray:

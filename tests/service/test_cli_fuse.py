@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 import json
 import math
 from dataclasses import replace
@@ -169,6 +170,37 @@ def test_every_ending_is_written(folders, capsys, tmp_path, ending):
         assert json.loads(out.read_text())["type"] in ("Feature", "FeatureCollection")
 
 
+def test_a_report_is_one_page_and_named_in_the_figures(folders, capsys, tmp_path):
+    path = tmp_path / "report.html"
+    assert figures(capsys, folders / "city", "--outage", "100:20", "--report", path)["report"] == str(path)
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("<!DOCTYPE html>")
+    assert "simulated city, seed 1" in text
+    assert list(tmp_path.iterdir()) == [path]  # nothing half-written beside it
+    assert figures(capsys, folders / "city")["report"] is None
+    status, out, err = call(capsys, "fuse", folders / "city", "--report", folders / "city" / "drive.toml" / "r.html")
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1
+    assert "cannot be written" in err
+
+
+class Terminal(io.StringIO):
+    """Where a bar is drawn."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_reading_fusing_and_writing_show_a_bar_on_a_terminal(folders, capsys, tmp_path, monkeypatch):
+    terminal = Terminal()
+    monkeypatch.setattr("sys.stderr", terminal)
+    words = ["fuse", folders / "city", "--out", tmp_path / "fused.csv", "--report", tmp_path / "report.html"]
+    assert main([str(word) for word in words]) == 0
+    for label in ("reading", "fusing", "writing fused.csv", "writing report.html"):
+        assert f"{label} [" in terminal.getvalue()
+    assert terminal.getvalue().endswith("\r\x1b[K")  # and leaves no trace
+
+
 BAD_FUSE = {
     "no such folder": (["nowhere"], "nowhere"),
     "no drive folder": (["."], "drive.toml"),
@@ -180,6 +212,7 @@ BAD_FUSE = {
     "rows back in time": (["city", "--every", "-1"], "--every"),
     "rows at no number": (["city", "--every", "nan"], "--every"),
     "an unknown ending": (["city", "--out", "track.xlsx"], ".csv"),
+    "a report that is no page": (["city", "--report", "report.pdf"], ".html"),
     "no calibration": (["city", "--calibration", "missing.json"], "missing.json"),
     "an unknown switch": (["city", "--turbo"], "--turbo"),
     "no drive": ([], "DRIVE"),

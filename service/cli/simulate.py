@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from core.simulation.faults import FAULTS
 from core.simulation.scenarios import SCENARIOS, simulate
 from service.errors import UsageError
 from service.recordings.drive_folder import is_drive_folder, write_drive
-from service.recordings.simulated import drive_of
+from service.recordings.simulated import drive_of, parse_fault, with_faults
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -24,7 +25,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate", type=float, default=200.0, metavar="HZ", help="inertial samples a second (default 200)"
     )
-    parser.add_argument("--list", action="store_true", help="name the scenarios and end")
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="NAME[:START[:DURATION[:SIZE]]]",
+        help="damage the recording, such as jump:100:20:60; several are laid one upon the other (see --list)",
+    )
+    parser.add_argument("--list", action="store_true", help="name the scenarios and faults and end")
     parser.add_argument("--json", action="store_true", help="print what was written as one JSON object")
 
 
@@ -43,6 +51,9 @@ def run(arguments: argparse.Namespace) -> int:
         sys.stderr.write(f"simulating {arguments.scenario} …")
         sys.stderr.flush()
     simulated = simulate(arguments.scenario, arguments.seed, arguments.duration, arguments.rate)
+    drive_s = float(simulated.trajectory.t_s[-1])
+    if arguments.fault:
+        simulated = with_faults(simulated, [parse_fault(text, drive_s) for text in arguments.fault])
     if progress:
         sys.stderr.write(f"\rwriting {out} …            ")
         sys.stderr.flush()
@@ -63,12 +74,16 @@ def run(arguments: argparse.Namespace) -> int:
             "gnss_fixes": int(simulated.measurements.gnss_t_ns.size),
             "accidents": truth["accidents"],
             "outages": truth["outages"],
+            "faults": truth.get("faults", []),
         }
         print(json.dumps(figures))
         return 0
     print(f"{out}: {simulated.scenario}, {duration_s:.0f} s, {distance_m / 1000:.2f} km")
     for outage in truth["outages"]:
         print(f"  {outage['start_s']:8.1f} s  no GNSS for {outage['duration_s']:.0f} s")
+    for fault in truth.get("faults", []):
+        size = f", {fault['size']:g} {fault['unit']}" if fault["size"] else ""
+        print(f"  {fault['start_s']:8.1f} s  fault: {fault['kind']} for {fault['duration_s']:g} s{size}")
     for accident in truth["accidents"]:
         where = f"{accident['lat_deg']:.6f}, {accident['lon_deg']:.6f}"
         clipped = ", clipped" if accident["clipped"] else ""
@@ -83,6 +98,11 @@ def _list(as_json: bool) -> None:
     if as_json:
         print(json.dumps({name: {"text": one.text, "duration_s": one.duration_s} for name, one in SCENARIOS.items()}))
         return
-    width = max(map(len, SCENARIOS))
+    faults = {name: one for name, one in FAULTS.items() if one.in_folder}
+    width = max(map(len, [*SCENARIOS, *faults]))
     for name, one in SCENARIOS.items():
         print(f"{name:{width}}  {one.duration_s:5.0f} s  {one.text}")
+    print("\nfaults, for --fault NAME[:START[:DURATION[:SIZE]]]:")
+    for name, kind in faults.items():
+        size = f"; size {kind.size:g} {kind.unit}" if kind.low < kind.high else ""
+        print(f"{name:{width}}  {kind.duration_s:5.0f} s  {kind.text}{size}")

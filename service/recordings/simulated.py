@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from typing import Final
 
+import numpy as np
+
+from core.simulation.faults import FAULTS, Fault, inject
 from core.simulation.scenarios import SimulatedDrive, absolute_ns
 from core.simulation.sensors import Device
+from core.simulation.stream import Stream
 from schemas.vehicles import SensorNoise
+from service.errors import UsageError
 from service.recordings.drive_folder import Drive, Reference
 from service.recordings.drive_toml import Driver, GnssSetup, ImuSetup
+
+FAULT_STREAM: Final = 1
+"""Tells the faults' random numbers from those that the drive of the same seed was drawn with."""
 
 
 def drive_of(simulated: SimulatedDrive) -> Drive:
@@ -39,6 +49,38 @@ def drive_of(simulated: SimulatedDrive) -> Drive:
         ),
         truth=simulated.truth,
     )
+
+
+def parse_fault(text: str, drive_s: float) -> Fault:
+    """Read ``NAME[:START[:DURATION[:SIZE]]]``; raises UsageError, or InvalidInputError for what no fault can be.
+
+    Without a start it begins after a third of the drive.
+    """
+    kind, *fields = text.split(":")
+    try:
+        numbers = [float(field) for field in fields]
+    except ValueError:
+        numbers = [math.nan]
+    if len(numbers) > 3 or not np.isfinite(numbers).all():
+        raise UsageError(
+            f"fault '{text}': expected NAME[:START[:DURATION[:SIZE]]] in seconds and the fault's own unit,"
+            " such as jump:100:20:60"
+        )
+    fault = Fault.of(kind, *(numbers or [drive_s / 3.0]))
+    if not FAULTS[kind].in_folder:
+        fit = ", ".join(name for name, one in FAULTS.items() if one.in_folder)
+        raise UsageError(f"fault {kind}: a drive folder cannot hold it, as times increase in it; expected one of {fit}")
+    if not 0.0 <= fault.start_s < drive_s:
+        raise UsageError(f"fault '{text}': expected a start within the drive, 0 to {drive_s:g} s")
+    return fault
+
+
+def with_faults(simulated: SimulatedDrive, faults: Sequence[Fault]) -> SimulatedDrive:
+    """The recording with these faults, which its truth then lists; the drive's seed gives the same bits."""
+    rng = np.random.default_rng([simulated.truth["seed"], FAULT_STREAM])
+    stream = inject(Stream.of(simulated.measurements), faults, rng)
+    listed = [{**asdict(fault), "unit": FAULTS[fault.kind].unit} for fault in faults]
+    return replace(simulated, measurements=stream.measurements, truth={**simulated.truth, "faults": listed})
 
 
 def _noise(device: Device) -> SensorNoise:

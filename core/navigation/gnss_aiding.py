@@ -32,12 +32,15 @@ from core.navigation.state import (
     I_BLOCKS,
     I_BROKEN,
     I_GNSS_USED,
+    I_HANGS,
     I_REFUSED,
     I_REJECTED,
     I_RESETS,
     N_BLOCKS,
+    N_STATES,
     POS,
     REJECTED_GATE,
+    REJECTED_RANGE,
     REJECTED_TIME,
     RESET,
     T_DECAY,
@@ -51,12 +54,14 @@ from core.navigation.state import (
     X_DECAY,
     X_DECAY_VAR,
     X_DR,
+    X_FIX,
     X_G,
     X_GNSS_DELAY,
     X_GNSS_ERROR,
     X_LAT,
     X_LON,
     X_M_PER_RAD,
+    X_MEAN_NU,
     X_Q,
     X_REJECTED_N,
     X_RING,
@@ -89,9 +94,13 @@ _P_LOST_RESETS = PARAMETER["resets_until_lost"]
 _P_LOST_S = PARAMETER["refused_until_lost_s"]
 _P_AGREE = PARAMETER["recovery_agreement_m"]
 _P_RECOVERY_ATT = PARAMETER["recovery_attitude_sd_rad"]
+_P_STILL_SPEED = PARAMETER["still_max_speed_mps"]
 
 COURSE_MIN_SPEED_MPS = 1.0
 """Below this a receiver's course is noise; its speed alone then says little more than the position."""
+
+FADING = 0.3
+"""Weight of the newest innovation in their mean: some three fixes. A choice; recovery within 10 s of good fixes."""
 
 WILD_RATIO = 9.0
 """An innovation this many times its variance says nothing of the white part: it is an outlier."""
@@ -155,6 +164,24 @@ def _reset_position(
 
 
 @njit(cache=True, nogil=True)
+def _widen(x: FloatArray, p: FloatArray, n: int, nu: tuple[float, float], s: tuple[float, float], gate: float) -> None:
+    """Open the position where innovations, each within its gate, all point the same way: the filter is too sure.
+
+    The fading mean of normalised innovations has the variance a / (2 - a) if they are white, as the model says
+    (Bar-Shalom, Li & Kirubarajan 2001, sec. 5.4.2). Beyond the gate its square is what the position may be off by.
+    """
+    total = 0.0
+    for i in range(2):
+        x[X_MEAN_NU + i] += FADING * (nu[i] / math.sqrt(s[i]) - x[X_MEAN_NU + i])
+        total += x[X_MEAN_NU + i] ** 2
+    if total * (2.0 - FADING) / FADING <= gate:
+        return
+    for i in range(2):
+        p[(POS + i) * n + POS + i] += x[X_MEAN_NU + i] ** 2 * s[i]
+        x[X_MEAN_NU + i] = 0.0
+
+
+@njit(cache=True, nogil=True)
 def _learn_share(x: FloatArray, nu_sq: float, own: float, stated: float, par: FloatArray) -> None:
     """Let the white share follow what an innovation's square has beyond the filter's ``own`` variance.
 
@@ -183,6 +210,29 @@ def _refused(x: FloatArray, ti: TimeArray, t_ns: int, nu_n: float, nu_e: float, 
     x[X_REJECTED_N], x[X_REJECTED_N + 1] = nu_n, nu_e
     long_enough = (t_ns - ti[T_REJECTED]) * 1e-9 >= par[_P_RECOVERY]
     return bool(long_enough and ti[I_REJECTED] >= par[_P_RECOVERY_FIXES])
+
+
+@njit(cache=True, nogil=True)
+def repeats(x: FloatArray, ti: TimeArray, p: FloatArray, fix: FloatArray, par: FloatArray) -> bool:
+    """Whether a fix says to the last bit what the one before said although the vehicle moves; counted if so.
+
+    A receiver that hangs, or one that is asked more often than it computes, sends its last fix with a new time. It
+    says nothing of now, and a run of such must not be taken for fixes that agree with each other.
+    """
+    same = fix[_LAT] == x[X_FIX] and fix[_LON] == x[X_FIX + 1]
+    x[X_FIX], x[X_FIX + 1] = fix[_LAT], fix[_LON]
+    if not same:
+        ti[I_HANGS] = 0
+        return False
+    if ti[I_HANGS] == 0:
+        i0 = VEL * N_STATES + VEL
+        sd = math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
+        least = par[_P_STILL_SPEED] + 3.0 * sd
+        if x[X_V] ** 2 + x[X_V + 1] ** 2 <= least * least:
+            return False
+        ti[I_HANGS] = 1  # until it says something else, also where the vehicle stops meanwhile
+    count(ti, A_POSITION, REJECTED_RANGE)
+    return True
 
 
 @njit(cache=True, nogil=True)
@@ -247,9 +297,11 @@ def fuse_position(
         share = sne / snn
         decorrelate(n, ph, ph2, share)
         update_pair(p, n, ph, 1.0 / snn, nu_n, ph2, 1.0 / (see - share * sne), nu_e - share * nu_n, dx)
+        _widen(x, p, n, (nu_n, nu_e), (snn, see), par[_P_GATE_POS])
         ti[I_RESETS] = 0
     else:
         _reset_position(x, ti, p, n, (nu_n, nu_e), sd_h, par)
+        x[X_MEAN_NU], x[X_MEAN_NU + 1] = 0.0, 0.0
         ti[I_RESETS] += 1
         ti[I_BROKEN] = 1
     ti[I_REJECTED] = 0
@@ -268,7 +320,7 @@ def fuse_position(
             update(p, n, ph, s, innovation, dx)
         else:
             # A height that stays wrong must not stay refused: a quarter of its excess is believed next time.
-            p[(POS + 2) * n + POS + 2] += 0.25 * innovation * innovation / par[_P_GATE]
+            p[(GNSS_ERROR + 2) * n + GNSS_ERROR + 2] += 0.25 * innovation * innovation / par[_P_GATE]
         outcome = FUSED if believed else REJECTED_GATE
         count(ti, A_HEIGHT, outcome)
         record(ti, work, t_ns, A_HEIGHT, 0, innovation, s, ratio, outcome)

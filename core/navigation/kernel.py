@@ -17,7 +17,7 @@ from core.navigation.constraints import fuse_non_holonomic, fuse_speed, fuse_sta
 from core.navigation.correction import Work, count
 from core.navigation.error_model import propagate
 from core.navigation.field_aiding import fuse_barometer, fuse_magnetic
-from core.navigation.gnss_aiding import fuse_position, fuse_velocity, lost, too_old
+from core.navigation.gnss_aiding import fuse_position, fuse_velocity, lost, repeats, too_old
 from core.navigation.kalman import symmetrise
 from core.navigation.mechanization import fold_position, matrix_of, renew_mounting, turned
 from core.navigation.nodes import close_node, open_node
@@ -210,7 +210,7 @@ def _fuse(
     """Let in one aid, whatever its kind."""
     kind = round(aid[0])
     if kind == K_GNSS:
-        if not too_old(ti, t_ns, par, A_POSITION):
+        if not too_old(ti, t_ns, par, A_POSITION) and not repeats(x, ti, p, aid[1:], par):
             fuse_position(x, ti, p, t_ns, aid[1:], antenna_lever_b, par, work)
             fuse_velocity(x, ti, p, t_ns, aid[1:], antenna_lever_b, par, work)
     elif kind == K_SPEED:

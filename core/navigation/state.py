@@ -64,10 +64,10 @@ X_DECAY: Final = 74  # factor by which that error has shrunk at this instant, 1 
 X_DECAY_VAR: Final = 75  # variances that were added to it then, n, e, d, m2
 X_HEAVE: Final = 78  # spread of the vertical block means over the last second, m/s2
 X_FIELD: Final = 79  # magnitude of the magnetic field as learnt, uT; 0 before
-X_LAST_NU: Final = 80  # horizontal innovation of the last fix over its sd, 2
-X_ECHO: Final = 82  # mean product of successive innovations over their sd, as learnt
-X_TURN: Final = 83  # integral of the rate about z since the covariance was last propagated, rad
-X_RING: Final = 84  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
+X_MEAN_NU: Final = 80  # fading mean of the innovations of fixes over their sd, 2
+X_FIX: Final = 82  # latitude and longitude of the last fix, rad, 2
+X_TURN: Final = 84  # integral of the rate about z since the covariance was last propagated, rad
+X_RING: Final = 85  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
 N_BLOCKS: Final = 10
 NX: Final = X_RING + 6 * N_BLOCKS
 
@@ -93,7 +93,8 @@ T_QUIET: Final = 18  # since then the vehicle has felt as if it stood, 0 if not
 I_RECORDS: Final = 19  # rows written in this call
 I_NODES: Final = 20  # likewise
 I_BROKEN: Final = 21  # the position was reset at this instant
-I_COUNTS: Final = 22  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
+I_HANGS: Final = 22  # the receiver repeats its last fix although the vehicle moved
+I_COUNTS: Final = 23  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
 
 # Aids and outcomes, the axes of the counters.
 AIDS: Final = (

@@ -144,7 +144,7 @@ class Session:
     def step(self, measurements: Measurements) -> Outputs:
         """Take the next measurements. Never raises for what they hold."""
         counts: dict[str, int] = {}
-        before = self._filter.counts.copy()
+        before = self._filter.counts
         samples = self._preparation.step(measurements, self._filter.t_ns, counts)
         aids = self._aids(measurements)
         tracks: list[Track] = []

@@ -110,6 +110,8 @@ class NavigationFilter:
         self._newest_aid_ns = np.zeros(len(_AID_OF_KIND), np.int64)
         self._used_aid_ns = np.zeros(len(_AID_OF_KIND), np.int64)
         self._aligner = Aligner(config.tuning)
+        # What was refused or given up outside of the kernel: going back does not undo it.
+        self._own_counts = np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64)
         self._pending = Pending()
         self._recent = Recent()
         self.recorder: Recorder | None = None
@@ -132,8 +134,8 @@ class NavigationFilter:
 
     @property
     def counts(self) -> TimeArray:
-        """How often each aid had each outcome, (len(AIDS), len(OUTCOMES)); a view."""
-        return self.ti[state.I_COUNTS :].reshape(len(state.AIDS), len(state.OUTCOMES))
+        """How often each aid had each outcome, (len(AIDS), len(OUTCOMES))."""
+        return np.asarray(self._own_counts + self.ti[state.I_COUNTS :].reshape(self._own_counts.shape))
 
     def covariance(self) -> FloatArray:
         """Covariance of the error states, (N_STATES, N_STATES)."""
@@ -190,8 +192,8 @@ class NavigationFilter:
             kept = in_time & in_range
             self._newest_aid_ns[kind] = newest_ns
             aid = _AID_OF_KIND[kind]
-            self.counts[aid, state.REJECTED_TIME] += np.count_nonzero(~in_time)
-            self.counts[aid, state.REJECTED_RANGE] += np.count_nonzero(in_time & ~in_range)
+            self._own_counts[aid, state.REJECTED_TIME] += np.count_nonzero(~in_time)
+            self._own_counts[aid, state.REJECTED_RANGE] += np.count_nonzero(in_time & ~in_range)
             t_ns, values = t_ns[kept], values[kept]
             if interval_s > 0.0:
                 chosen, self._used_aid_ns[kind] = thinned(t_ns, int(self._used_aid_ns[kind]), int(interval_s * 1e9))
@@ -249,7 +251,7 @@ class NavigationFilter:
             self._pending = self._pending.join(Pending(early.t_ns, early.t_ns, early.rows))
         late = late.take(~ahead)
         while len(late) and (slot := self._recent.slot_before(int(late.t_ns[0]))) is None:
-            self.counts[_AID_OF_KIND[round(late.rows[0, 0])], state.REJECTED_TIME] += 1
+            self._own_counts[_AID_OF_KIND[round(late.rows[0, 0])], state.REJECTED_TIME] += 1
             late = late.take(slice(1, None))
         if not len(late) or slot is None:
             return
@@ -332,7 +334,7 @@ class NavigationFilter:
         self._aligned[0] = False
         # What led astray may be the very biases and angles.
         self._known[0] = stopped == kernel.STOPPED_GAP
-        self.counts[state.A_IMU, state.RESET] += 1
+        self._own_counts[state.A_IMU, state.RESET] += 1
         self._aligner.forget()
         self._evaluation_ns[0] = 0
 
@@ -342,7 +344,7 @@ class NavigationFilter:
         """Collect samples up to the next whole second, and evaluate once a sample beyond it has come."""
         late = int(np.searchsorted(t_ns, self.t_ns, side="right"))
         if late:
-            self.counts[state.A_IMU, state.REJECTED_TIME] += late
+            self._own_counts[state.A_IMU, state.REJECTED_TIME] += late
             return late, _no_track()
         if self._evaluation_ns[0] == 0:
             self._evaluation_ns[0] = next_second_ns(t_ns[0])
@@ -490,7 +492,17 @@ class NavigationFilter:
             stage.load({k[len(part) :]: v for k, v in arrays.items() if k.startswith(part)})
 
 
-_ARRAYS: Final = ("x", "ti", "p", "_aligned", "_known", "_evaluation_ns", "_newest_aid_ns", "_used_aid_ns")
+_ARRAYS: Final = (
+    "x",
+    "ti",
+    "p",
+    "_aligned",
+    "_known",
+    "_evaluation_ns",
+    "_newest_aid_ns",
+    "_used_aid_ns",
+    "_own_counts",
+)
 
 WHITE_SHARE_FIXES: Final = 10.0
 """How many fixes the share of white error assumed at the start is worth."""

@@ -233,6 +233,7 @@ def keep(x: FloatArray, ti: TimeArray, p: FloatArray, kept: FloatArray, kept_ti:
         kept[slot, NX + i] = p[i]
     for i in range(NT):
         kept_ti[slot, i] = ti[i]
+    kept_ti[slot, I_RECORDS], kept_ti[slot, I_NODES] = 0, 0  # of this call, not of the state
 
 
 @njit(cache=True, nogil=True)

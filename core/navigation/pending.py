@@ -38,13 +38,14 @@ class Pending:
         return Pending(self.t_ns[chosen], self.from_ns[chosen], self.rows[chosen])
 
     def join(self, other: Pending) -> Pending:
-        """Both together by time; at one time those that were here first, then by kind as they came."""
+        """Both together by time, at one time by kind: however late one came, the order is the same."""
         if not len(other):
             return self
         t_ns = np.concatenate([self.t_ns, other.t_ns])
-        order = np.argsort(t_ns, kind="stable")
         from_ns = np.concatenate([self.from_ns, other.from_ns])
-        return Pending(t_ns[order], from_ns[order], np.concatenate([self.rows, other.rows])[order])
+        rows = np.concatenate([self.rows, other.rows])
+        order = np.lexsort((rows[:, 0], t_ns))
+        return Pending(t_ns[order], from_ns[order], rows[order])
 
     def of(self, kind: int) -> tuple[TimeArray, FloatArray]:
         """Times and values (n, ...) of one kind; a single value a row becomes (n,)."""

@@ -29,14 +29,15 @@ class Recorder:
 
     def add(self, nodes: tuple[TimeArray, FloatArray], rows: Track, records: AidRecords) -> None:
         """What one fold brought."""
-        self.nodes.append((nodes[0].copy(), nodes[1].copy()))
-        self.rows.append((rows.t_ns, rows.values))
-        self.records.append((records.t_ns, records.values))
+        parts = (nodes[0].copy(), nodes[1].copy()), (rows.t_ns, rows.values), (records.t_ns, records.values)
+        for table, part in zip((self.nodes, self.rows, self.records), parts, strict=True):
+            if len(part[0]):
+                table.append(part)
 
     def cut(self, t_ns: int) -> None:
-        """Take back nodes and rows after ``t_ns``; records of those times stay until they are written again."""
+        """Take back what came after ``t_ns``."""
         for table in (self.nodes, self.rows, self.records):
-            while table and len(table[-1][0]) and table[-1][0][0] > t_ns:
+            while table and table[-1][0][0] > t_ns:
                 table.pop()
             if table:
                 times, values = table[-1]

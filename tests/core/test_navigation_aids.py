@@ -10,9 +10,25 @@ import pytest
 
 from core.earth import radii_m
 from core.measurements import GNSS, GNSS_COLUMNS
-from core.navigation import aiding, state
-from core.navigation.mechanization import start_frame
-from core.navigation.state import ACCEL_BIAS, ATT, GYRO_BIAS, MOUNT_PITCH, MOUNT_YAW, POS, SPEED_SCALE, VEL
+from core.navigation import state
+from core.navigation.constraints import fuse_non_holonomic, fuse_speed, fuse_standstill
+from core.navigation.correction import correct
+from core.navigation.field_aiding import fuse_barometer, fuse_magnetic
+from core.navigation.gnss_aiding import fuse_position, fuse_velocity
+from core.navigation.mechanization import fold_position, start_frame
+from core.navigation.records import RECORD_COLUMNS, AidRecords
+from core.navigation.state import (
+    ATT,
+    BARO_BIAS,
+    GNSS_DELAY,
+    GNSS_ERROR,
+    GYRO_BIAS,
+    MOUNT_PITCH,
+    MOUNT_YAW,
+    POS,
+    SPEED_SCALE,
+    VEL,
+)
 from core.navigation.tuning import Tuning
 from core.rotation import matrix_from_quaternion, matrix_from_rpy, quaternion_from_matrix
 
@@ -26,6 +42,9 @@ EXACT = replace(
     speed_sd_mps=0.01,
     zupt_sd_mps=1e-3,
     zaru_sd_radps=1e-6,
+    magnetic_sd_rad=0.01,
+    magnetic_correlation_s=0.0,
+    baro_sd_m=0.05,
 )
 """Measurements as exact as the tunables allow."""
 LEVER_B = np.array([1.2, -0.6, -0.9])
@@ -33,6 +52,9 @@ LAT, LON, ALT = 0.8, 0.3, 200.0
 RPY = (0.04, 0.05, 2.2)
 MOUNT_PITCH_RAD, MOUNT_YAW_RAD, SCALE = 0.03, -0.05, 0.02
 OMEGA_B, GYRO_BIAS_B = np.array([0.05, -0.1, 0.4]), np.array([0.01, -0.02, 0.005])
+FORCE_B = np.array([3.0, 4.0, -9.0])
+GNSS_ERROR_N, GNSS_DELAY_S, BARO_BIAS_M = np.array([1.1, -0.8, 1.6]), 0.05, 30.0
+FIELD_N_UT = np.array([25.0, 0.0, 40.0])
 
 
 def vehicle_axes(x):
@@ -49,8 +71,8 @@ class Case:
     truth: np.ndarray
     p: np.ndarray
     ti: np.ndarray
-    counts: np.ndarray
     par: np.ndarray
+    log: tuple[np.ndarray, np.ndarray]
 
     @classmethod
     def of(cls, index, error, sd, v_vehicle=(15.0, 0.0, 0.0), tuning=EXACT):
@@ -60,27 +82,48 @@ class Case:
         truth[state.X_BG : state.X_BG + 3] = GYRO_BIAS_B
         truth[state.X_W : state.X_W + 3] = OMEGA_B + GYRO_BIAS_B
         truth[state.X_SCALE] = SCALE
+        truth[state.X_GNSS_ERROR : state.X_GNSS_ERROR + 3] = GNSS_ERROR_N
+        truth[state.X_GNSS_DELAY], truth[state.X_BARO_BIAS] = GNSS_DELAY_S, BARO_BIAS_M
+        truth[state.X_WHITE_SHARE] = 1.0
+        truth[state.X_RING : state.X_RING + 6] = *FORCE_B, *GYRO_BIAS_B
         truth[state.X_MOUNT_PITCH], truth[state.X_MOUNT_YAW] = MOUNT_PITCH_RAD, MOUNT_YAW_RAD
         truth[state.X_V : state.X_V + 3] = vehicle_axes(truth) @ np.array(v_vehicle)
-        ti[state.T_NOW] = ti[state.T_COV] = ti[state.T_GNSS] = NOW_NS
+        ti[state.T_NOW] = ti[state.T_COV] = ti[state.T_GNSS] = ti[state.T_DECAY] = NOW_NS
+        ti[state.I_BLOCKS] = 1
         start_frame(truth, ti)
         x, minus = truth.copy(), np.zeros(state.N_STATES)
         minus[index] = -error
-        aiding.correct(x, minus)
+        correct(x, minus)
+        fold_position(x, ti)
         p = np.zeros(state.N_STATES**2)
         p[index * (state.N_STATES + 1)] = sd**2
-        counts = np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64)
-        return cls(x, truth, p, ti, counts, tuning.as_array())
+        log = np.empty(20, np.int64), np.empty((20, len(RECORD_COLUMNS)))
+        return cls(x, truth, p, ti, tuning.as_array(), log)
+
+    @property
+    def counts(self):
+        return self.ti[state.I_COUNTS :].reshape(len(state.AIDS), len(state.OUTCOMES))
+
+    @property
+    def records(self):
+        n = self.ti[state.I_RECORDS]
+        return AidRecords(self.log[0][:n], self.log[1][:n])
 
     @property
     def work(self):
-        return state.N_STATES, np.zeros(state.N_STATES), np.empty(state.N_STATES)
+        n = state.N_STATES
+        return n, np.zeros(n), np.empty(n), np.empty(n), *self.log
+
+    @property
+    def acceleration_n(self):
+        return matrix_from_quaternion(self.truth[:4]) @ FORCE_B + self.truth[state.X_G : state.X_G + 3]
 
     def fix(self, **more):
-        """What an exact receiver says of the truth at its antenna."""
+        """What a receiver without white errors says of the truth at its antenna, late and off as that is."""
         C, y = matrix_from_quaternion(self.truth[:4]), self.truth
-        arm_n = C @ LEVER_B
-        v_n = y[state.X_V : state.X_V + 3] + C @ np.cross(OMEGA_B, LEVER_B)
+        v_n = y[state.X_V : state.X_V + 3]
+        arm_n = C @ LEVER_B + GNSS_ERROR_N - GNSS_DELAY_S * v_n
+        v_n = v_n + C @ np.cross(OMEGA_B, LEVER_B) - GNSS_DELAY_S * self.acceleration_n
         meridian, transverse = radii_m(y[state.X_LAT])
         values = {
             "lat_rad": y[state.X_LAT] + (y[state.X_DR] + arm_n[0]) / (meridian + ALT),
@@ -97,14 +140,28 @@ class Case:
         } | more
         return row(**values)
 
-    def position(self, fix):
-        return aiding.fuse_position(self.x, self.ti, self.p, NOW_NS, fix, LEVER_B, self.par, self.work, self.counts)
+    def position(self, fix, t_ns=NOW_NS):
+        return fuse_position(self.x, self.ti, self.p, t_ns, fix, LEVER_B, self.par, self.work)
 
-    def velocity(self, fix):
-        aiding.fuse_velocity(self.x, self.ti, self.p, fix, LEVER_B, self.par, self.work, self.counts)
+    def velocity(self, fix, t_ns=NOW_NS):
+        fuse_velocity(self.x, self.ti, self.p, t_ns, fix, LEVER_B, self.par, self.work)
 
     def speed(self, reading_mps):
-        aiding.fuse_speed(self.x, self.ti, self.p, reading_mps, self.par, self.work, self.counts)
+        fuse_speed(self.x, self.ti, self.p, NOW_NS, reading_mps, self.par, self.work)
+
+    def going_straight(self):
+        fuse_non_holonomic(self.x, self.ti, self.p, self.par, self.work)
+
+    def standing(self):
+        fuse_standstill(self.x, self.ti, self.p, self.par, self.work)
+
+    def magnetic(self, field_n_ut=FIELD_N_UT):
+        field_b_ut = matrix_from_quaternion(self.truth[:4]).T @ np.array(field_n_ut)
+        fuse_magnetic(self.x, self.ti, self.p, NOW_NS, tuple(field_b_ut), self.par, self.work)
+
+    def barometer(self, more_m=0.0):
+        height_m = self.truth[state.X_ALT] + BARO_BIAS_M + more_m
+        fuse_barometer(self.x, self.ti, self.p, NOW_NS, height_m, self.par, self.work)
 
     def left(self, index):
         """The error that is left along a state."""
@@ -117,12 +174,16 @@ class Case:
         if ATT <= index < ATT + 3:
             turn = matrix_from_quaternion(y[:4]) @ matrix_from_quaternion(x[:4]).T
             return 0.5 * (turn - turn.T)[(2, 0, 1)[index - ATT], (1, 2, 0)[index - ATT]]
-        place = {VEL: state.X_V, GYRO_BIAS: state.X_BG, ACCEL_BIAS: state.X_BA}
-        for group, first in place.items():
-            if group <= index < group + 3:
-                return y[first + index - group] - x[first + index - group]
-        at = {SPEED_SCALE: state.X_SCALE, MOUNT_PITCH: state.X_MOUNT_PITCH, MOUNT_YAW: state.X_MOUNT_YAW}[index]
-        return y[at] - x[at]
+        groups = {VEL: state.X_V, GYRO_BIAS: state.X_BG, GNSS_ERROR: state.X_GNSS_ERROR}
+        singles = {
+            SPEED_SCALE: state.X_SCALE,
+            MOUNT_PITCH: state.X_MOUNT_PITCH,
+            MOUNT_YAW: state.X_MOUNT_YAW,
+            GNSS_DELAY: state.X_GNSS_DELAY,
+            BARO_BIAS: state.X_BARO_BIAS,
+        }
+        places = singles | {first + i: at + i for first, at in groups.items() for i in range(3)}
+        return y[places[index]] - x[places[index]]
 
 
 def row(**values):
@@ -146,30 +207,42 @@ of 4 mrad or a scale of 0.5 %, its products with itself and the other states' es
         (ATT, 4e-3, 0.1),
         (ATT + 1, -4e-3, 0.1),
         (ATT + 2, 4e-3, 0.1),
+        (GNSS_ERROR, 2.0, 5.0),
+        (GNSS_ERROR + 1, -2.0, 5.0),
+        (GNSS_ERROR + 2, 3.0, 5.0),
+        (GNSS_DELAY, 0.1, 0.3),
     ],
 )
 def test_a_position_takes_away_what_it_sees(index, error, sd):
     case = Case.of(index, error, sd)
     assert case.left(index) == pytest.approx(error, rel=1e-3)
     # Of an attitude error the height row and the gate leave out what the lever arm makes: no height, and 2 mm.
-    assert case.position(case.fix() if index < ATT else case.fix(alt_m=math.nan, sd_h_m=2e-3))
+    assert case.position(case.fix(alt_m=math.nan, sd_h_m=2e-3) if ATT <= index < ATT + 3 else case.fix())
     assert abs(case.left(index)) < SECOND_ORDER * abs(error)
     assert case.counts[state.A_POSITION, state.FUSED] == 1
 
 
 @pytest.mark.parametrize(
-    ("index", "form"),
-    [(VEL, "velocity"), (VEL + 1, "velocity"), (VEL + 2, "velocity"), (VEL, "course"), (VEL + 1, "course")],
+    ("index", "error", "form"),
+    [
+        (VEL, 0.3, "velocity"),
+        (VEL + 1, 0.3, "velocity"),
+        (VEL + 2, 0.3, "velocity"),
+        (GNSS_DELAY, 0.1, "velocity"),
+        (VEL, 0.3, "course"),
+        (VEL + 1, 0.3, "course"),
+        (GNSS_DELAY, -0.1, "course"),
+    ],
 )
-def test_a_velocity_takes_away_what_it_sees(index, form):
-    case = Case.of(index, 0.3, 1.0)
+def test_a_velocity_takes_away_what_it_sees(index, error, form):
+    case = Case.of(index, error, 1.0)
     fix = case.fix()
     if form == "course":
         north, east = fix[GNSS["vn_mps"]], fix[GNSS["ve_mps"]]
         nothing = dict.fromkeys(("vn_mps", "ve_mps", "vd_mps"), math.nan)
         fix = case.fix(speed_mps=math.hypot(north, east), course_rad=math.atan2(east, north) % math.tau, **nothing)
     case.velocity(fix)
-    assert abs(case.left(index)) < SECOND_ORDER * 0.3
+    assert abs(case.left(index)) < SECOND_ORDER * abs(error)
     assert case.counts[state.A_VELOCITY, state.FUSED] == 1
 
 
@@ -188,7 +261,7 @@ def test_a_velocity_takes_away_what_it_sees(index, form):
 )
 def test_going_where_the_wheels_point_takes_away_what_it_sees(index, error, sd):
     case = Case.of(index, error, sd)
-    aiding.fuse_non_holonomic(case.x, case.p, case.par, case.work, case.counts)
+    case.going_straight()
     assert abs(case.left(index)) < SECOND_ORDER * abs(error)
     assert case.counts[state.A_NHC, state.FUSED] == 2
 
@@ -222,9 +295,41 @@ def test_a_wheel_speed_takes_away_what_it_sees(index, error, sd, way):
 )
 def test_standing_takes_away_what_it_sees(index, error, sd):
     case = Case.of(index, error, sd, v_vehicle=(0.0, 0.0, 0.0))
-    aiding.fuse_standstill(case.x, case.p, GYRO_BIAS_B, case.par, case.work, case.counts)
+    case.standing()
     assert abs(case.left(index)) < SECOND_ORDER * abs(error)
     assert case.counts[state.A_ZUPT, state.FUSED] == case.counts[state.A_ZARU, state.FUSED] == 1
+
+
+@pytest.mark.parametrize(("index", "error", "sd"), [(ATT, 4e-3, 0.1), (ATT + 2, -0.05, 0.3)])
+def test_a_magnetic_field_takes_away_what_it_sees(index, error, sd):
+    # A tilt about east moves no field that points north, so it is not seen.
+    case = Case.of(index, error, sd)
+    case.magnetic()
+    assert abs(case.left(index)) < SECOND_ORDER * abs(error)
+    assert case.counts[state.A_MAGNETOMETER, state.FUSED] == 1
+
+
+@pytest.mark.parametrize(("index", "error", "sd"), [(POS + 2, -3.0, 5.0), (BARO_BIAS, 40.0, 100.0)])
+def test_an_air_pressure_takes_away_what_it_sees(index, error, sd):
+    case = Case.of(index, error, sd)
+    case.barometer()
+    assert abs(case.left(index)) < SECOND_ORDER * abs(error)
+    assert case.counts[state.A_BAROMETER, state.FUSED] == 1
+
+
+def test_an_aid_leaves_one_record_an_axis_of_what_it_measured():
+    case = Case.of(POS, 2.0, 5.0)
+    case.position(case.fix())
+    north, east, height = (
+        case.records.of(*one) for one in [(state.A_POSITION, 0), (state.A_POSITION, 1), (state.A_HEIGHT, 0)]
+    )
+    assert len(case.records.t_ns) == len(north.t_ns) + len(east.t_ns) + len(height.t_ns) == 3
+    innovation = [float(one.column("innovation")[0]) for one in (north, east, height)]
+    assert innovation == pytest.approx([2.0, 0.0, 0.0], abs=1e-4)
+    variance = [float(one.column("variance")[0]) for one in (north, east, height)]
+    assert variance == pytest.approx([25.0 + 1e-6, 1e-6, 1e-6], rel=1e-6)
+    assert north.column("ratio")[0] == pytest.approx(2.0**2 / 25.0 / Tuning().gate_position, rel=1e-3)
+    assert (case.records.column("outcome") == state.FUSED).all()
 
 
 @pytest.mark.parametrize("heading", [0.1, 2.2, -1.6])
@@ -236,7 +341,7 @@ def test_a_position_moves_with_the_vehicle_between_its_time_and_now(heading):
     fix[GNSS["lat_rad"]] -= lag_s * v_n[0] / (meridian + ALT)
     fix[GNSS["lon_rad"]] -= lag_s * v_n[1] / ((transverse + ALT) * math.cos(LAT))
     before_ns = NOW_NS - round(lag_s * 1e9)
-    aiding.fuse_position(case.x, case.ti, case.p, before_ns, fix, LEVER_B, case.par, case.work, case.counts)
+    case.position(fix, before_ns)
     assert abs(case.left(POS)) < 1e-3
 
 
@@ -287,12 +392,12 @@ def test_a_refused_height_lets_its_own_spread_grow_until_it_is_believed():
 
 
 def test_a_skid_is_refused_and_slow_driving_is_not_constrained():
-    skid = Case.of(VEL, 0.0, 0.0, v_vehicle=(15.0, 12.0, 0.0))
+    skid = Case.of(VEL, 0.0, 0.0, v_vehicle=(15.0, 12.0, 0.0), tuning=Tuning())
     x = nominal(skid.x).copy()
-    aiding.fuse_non_holonomic(skid.x, skid.p, Tuning().as_array(), skid.work, skid.counts)
+    skid.going_straight()
     assert skid.counts[state.A_NHC, state.REJECTED_GATE] == 1
     slow = Case.of(VEL, 0.0, 0.0, v_vehicle=(0.3, 0.1, 0.0))
-    aiding.fuse_non_holonomic(slow.x, slow.p, Tuning().as_array(), slow.work, slow.counts)
+    slow.going_straight()
     assert slow.counts[state.A_NHC, state.REJECTED_RANGE] == 1
     assert nominal(skid.x) == pytest.approx(x, abs=1e-12)
 
@@ -303,3 +408,52 @@ def test_wheels_that_spin_are_refused():
     case.speed(40.0)
     assert case.counts[state.A_SPEED, state.REJECTED_GATE] == 1
     assert nominal(case.x).tobytes() == x.tobytes()
+
+
+# Standing, fields and air
+
+
+def test_no_standstill_is_believed_where_the_filter_surely_moves():
+    case = Case.of(VEL, 0.0, 0.1, v_vehicle=(0.6, 0.0, 0.0))
+    for i in range(3):
+        case.p[(VEL + i) * (state.N_STATES + 1)] = 0.1**2
+    x, p = nominal(case.x).copy(), case.p.copy()
+    case.standing()
+    assert case.counts[state.A_ZUPT, state.REJECTED_GATE] == 1
+    assert case.counts[state.A_ZARU].sum() == 0
+    assert nominal(case.x).tobytes() == x.tobytes()
+    assert case.p.tobytes() == p.tobytes()
+    assert case.records.of(state.A_ZUPT, 0).column("ratio")[0] > 1.0
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.4])
+def test_a_field_that_iron_disturbs_is_refused(factor):
+    case = Case.of(ATT + 2, 0.05, 0.3)
+    case.magnetic()
+    x, p = nominal(case.x).copy(), case.p.copy()
+    case.magnetic(factor * FIELD_N_UT)
+    assert case.counts[state.A_MAGNETOMETER].tolist() == [1, 0, 0, 1, 0]
+    assert nominal(case.x).tobytes() == x.tobytes()
+    assert case.p.tobytes() == p.tobytes()
+
+
+def test_many_samples_of_one_field_say_as_much_as_it_errs_independently():
+    # The iron's error lasts for minutes: a hundred samples of it are worth one, and a heading's spread stays above.
+    case = Case.of(ATT + 2, 0.0, 1.0, tuning=Tuning())
+    t = Tuning()
+    for _ in range(round(t.magnetic_correlation_s / t.magnetic_interval_s)):
+        case.magnetic()
+    yaw_sd = math.sqrt(case.p[(ATT + 2) * (state.N_STATES + 1)])
+    assert yaw_sd == pytest.approx(t.magnetic_sd_rad / math.hypot(1.0, t.magnetic_sd_rad), rel=1e-2)
+
+
+def test_a_step_of_air_pressure_is_refused_and_then_believed_as_its_bias():
+    case = Case.of(BARO_BIAS, 0.0, 0.5, tuning=Tuning())
+    height = case.left(POS + 2)
+    for _ in range(30):
+        case.barometer(25.0)
+        if case.counts[state.A_BAROMETER, state.FUSED]:
+            break
+    assert 1 <= case.counts[state.A_BAROMETER, state.REJECTED_GATE] <= 10
+    assert case.left(BARO_BIAS) == pytest.approx(-25.0, abs=1.0)  # what one sample is good to
+    assert case.left(POS + 2) == height

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from core.earth import gravity_mps2, ned_offset_m
-from core.measurements import GNSS
 from core.navigation import kernel, state
-from core.navigation.aiding import correct
+from core.navigation.correction import correct
 from core.navigation.mechanization import fold_position, start_frame
+from core.navigation.nodes import NODE_WIDTH
+from core.navigation.records import RECORD_COLUMNS
 from core.navigation.track import TRACK_COLUMNS
 from core.navigation.tuning import Tuning
 from core.rotation import matrix_from_quaternion, matrix_from_rpy, quaternion_from_matrix
@@ -45,13 +46,12 @@ class Filter:
 
     def run(self, t_ns, f_b, omega_b, tuning=QUIET):
         none = np.empty(0, np.int64)
-        n = len(t_ns)
+        n, second = len(t_ns), kernel.KEPT_SECONDS
         used, *_, stopped = kernel.run(
-            self.x, self.ti, self.p, np.zeros(6 * state.N_BLOCKS), np.zeros(kernel.SCRATCH),
-            tuning.as_array(), 0, np.zeros(3), np.zeros(3),
-            t_ns, f_b, omega_b, np.zeros(n), none, np.empty((0, len(GNSS))), none, np.empty(0),
-            np.empty((n, 4)), np.empty(n, np.int64), np.empty((n, len(TRACK_COLUMNS))),
-            np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64),
+            self.x, self.ti, self.p, np.zeros((second, kernel.KEPT_WIDTH)), np.zeros((second, state.NT), np.int64),
+            np.zeros(kernel.SCRATCH), tuning.as_array(), np.zeros(7), t_ns, f_b, omega_b, np.zeros(n),
+            none, np.empty((0, state.AID_WIDTH)), np.empty((n, 4)), np.empty(n, np.int64),
+            np.empty((n, len(TRACK_COLUMNS))), none, np.empty((0, len(RECORD_COLUMNS))), none, np.empty((0, NODE_WIDTH)),
         )  # fmt: skip
         assert (used, stopped) == (n, kernel.STOPPED_END)
         return self

@@ -12,9 +12,10 @@ from pymap3d.vincenty import vdist
 from scipy.spatial.transform import Rotation
 
 from core.earth import horizontal_distance_m, ned_offset_m, radii_m
-from core.measurements import GNSS
 from core.navigation import kalman, kernel, state
 from core.navigation.mechanization import start_frame
+from core.navigation.nodes import NODE_WIDTH
+from core.navigation.records import RECORD_COLUMNS
 from core.navigation.track import TRACK, TRACK_COLUMNS
 from core.navigation.tuning import Tuning
 from core.rotation import (
@@ -73,6 +74,9 @@ def test_rotations():
         assert back == pytest.approx(np.zeros(3), abs=1e-12)
 
 
+SPARSE_ROWS = {6: (kalman.project_six, kalman.along_six), 9: (kalman.project_nine, kalman.along_nine)}
+
+
 def test_a_sequence_of_scalar_updates():
     rng = np.random.default_rng(4)
     n = state.N_STATES
@@ -81,21 +85,21 @@ def test_a_sequence_of_scalar_updates():
     theirs = KalmanFilter(dim_x=n, dim_z=1)
     theirs.P, theirs.x = p0.copy(), np.zeros((n, 1))
     p, dx, ph = p0.reshape(-1).copy(), np.zeros(n), np.empty(n)
-    groups = (state.VEL, state.ATT, state.SPEED_SCALE)
-    columns = [g + i for g in groups for i in range(3)]
     for _ in range(60):
         z, variance = rng.normal(), rng.uniform(0.01, 4.0)
         H = np.zeros((1, n))
-        if rng.random() < 0.5:
-            row = tuple(rng.normal(size=9))
-            H[0, columns] = row
-            s = kalman.project(p, n, groups, row, ph) + variance
-            innovation = z - kalman.along(groups, row, dx)
+        touched = int(rng.choice([1, 6, 9]))
+        at = tuple(int(i) for i in rng.permutation(n)[:touched])
+        if touched == 1:
+            H[0, at] = 1.0
+            s = kalman.project_axis(p, n, at[0], ph) + variance
+            innovation = z - dx[at[0]]
         else:
-            axis = int(rng.integers(n))
-            H[0, axis] = 1.0
-            s = kalman.project_axis(p, n, axis, ph) + variance
-            innovation = z - dx[axis]
+            project, along = SPARSE_ROWS[touched]
+            row = tuple(rng.normal(size=touched))
+            H[0, at] = row
+            s = project(p, n, at, row, ph) + variance
+            innovation = z - along(at, row, dx)
         kalman.update(p, n, ph, s, innovation, dx)
         theirs.update(np.array([[z]]), R=np.array([[variance]]), H=H)
         # Joseph's form there, the short one here: they part by rounding, 60 times 1e-16 of P's size.
@@ -103,6 +107,32 @@ def test_a_sequence_of_scalar_updates():
         assert p.reshape(n, n) == pytest.approx(theirs.P, abs=1e-11 * np.abs(p0).max())
     kalman.symmetrise(p, n)
     assert (p.reshape(n, n) == p.reshape(n, n).T).all()
+
+
+@pytest.mark.parametrize("left_out", [(), (0,), (1,)])
+def test_two_updates_in_one_pass(left_out):
+    rng = np.random.default_rng(6)
+    n = state.N_STATES
+    root = rng.normal(size=(n, n))
+    p0 = root @ root.T + np.eye(n)
+    H, z, r = np.zeros((2, n)), rng.normal(size=2), rng.uniform(0.5, 4.0, 2)
+    p, dx, ph = p0.reshape(-1).copy(), np.zeros(n), (np.empty(n), np.empty(n))
+    s = []
+    for i in range(2):
+        at = tuple(int(j) for j in rng.permutation(n)[:9])
+        H[i, at] = rng.normal(size=9)
+        s.append(kalman.project_nine(p, n, at, tuple(H[i, at]), ph[i]) + r[i])
+    inverse_first = 0.0 if 0 in left_out else 1.0 / s[0]
+    share = kalman.along_nine(at, tuple(H[1, at]), ph[0]) * inverse_first
+    kalman.decorrelate(n, ph[0], ph[1], share)
+    inverse_second = 0.0 if 1 in left_out else 1.0 / (s[1] - share**2 / max(inverse_first, 1e-300))
+    kalman.update_pair(p, n, ph[0], inverse_first, z[0], ph[1], inverse_second, z[1] - share * z[0], dx)
+    used = [i for i in range(2) if i not in left_out]
+    theirs = KalmanFilter(dim_x=n, dim_z=len(used))
+    theirs.P, theirs.x = p0.copy(), np.zeros((n, 1))
+    theirs.update(z[used][:, None], R=np.diag(r[used]), H=H[used])
+    assert dx == pytest.approx(theirs.x[:, 0], abs=1e-12)
+    assert p.reshape(n, n) == pytest.approx(theirs.P, abs=1e-13 * np.abs(p0).max())
 
 
 @pytest.mark.parametrize(
@@ -125,11 +155,12 @@ def test_a_minute_of_dead_reckoning_on_exact_samples(scenario, from_s, rate_hz):
     none = np.empty(0, np.int64)
     out_t_ns, out = np.empty(n, np.int64), np.empty((n, len(TRACK_COLUMNS)))
     *_, rows, stopped = kernel.run(
-        x, ti, np.zeros(state.N_STATES**2), np.zeros(6 * state.N_BLOCKS), np.zeros(kernel.SCRATCH),
-        Tuning(output_interval_s=0.0).as_array(), 0,
-        np.zeros(3), np.zeros(3), t_ns, truth.f_b[first + 1 : last + 1], truth.omega_b[first + 1 : last + 1],
-        np.zeros(n), none, np.empty((0, len(GNSS))), none, np.empty(0), np.empty((n, 4)), out_t_ns, out,
-        np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64),
+        x, ti, np.zeros(state.N_STATES**2), np.zeros((kernel.KEPT_SECONDS, kernel.KEPT_WIDTH)),
+        np.zeros((kernel.KEPT_SECONDS, state.NT), np.int64), np.zeros(kernel.SCRATCH),
+        Tuning(output_interval_s=0.0).as_array(), np.zeros(7),
+        t_ns, truth.f_b[first + 1 : last + 1], truth.omega_b[first + 1 : last + 1], np.zeros(n),
+        none, np.empty((0, state.AID_WIDTH)), np.empty((n, 4)), out_t_ns, out,
+        none, np.empty((0, len(RECORD_COLUMNS))), none, np.empty((0, NODE_WIDTH)),
     )  # fmt: skip
     assert (rows, stopped) == (n, kernel.STOPPED_END)
     there = slice(first + 1, last + 1)

@@ -320,9 +320,8 @@ def test_an_air_pressure_takes_away_what_it_sees(index, error, sd):
 def test_an_aid_leaves_one_record_an_axis_of_what_it_measured():
     case = Case.of(POS, 2.0, 5.0)
     case.position(case.fix())
-    north, east, height = (
-        case.records.of(*one) for one in [(state.A_POSITION, 0), (state.A_POSITION, 1), (state.A_HEIGHT, 0)]
-    )
+    axes = (state.A_POSITION, 0), (state.A_POSITION, 1), (state.A_HEIGHT, 0)
+    north, east, height = (case.records.of(aid, axis) for aid, axis in axes)
     assert len(case.records.t_ns) == len(north.t_ns) + len(east.t_ns) + len(height.t_ns) == 3
     innovation = [float(one.column("innovation")[0]) for one in (north, east, height)]
     assert innovation == pytest.approx([2.0, 0.0, 0.0], abs=1e-4)
@@ -410,20 +409,7 @@ def test_wheels_that_spin_are_refused():
     assert nominal(case.x).tobytes() == x.tobytes()
 
 
-# Standing, fields and air
-
-
-def test_no_standstill_is_believed_where_the_filter_surely_moves():
-    case = Case.of(VEL, 0.0, 0.1, v_vehicle=(0.6, 0.0, 0.0))
-    for i in range(3):
-        case.p[(VEL + i) * (state.N_STATES + 1)] = 0.1**2
-    x, p = nominal(case.x).copy(), case.p.copy()
-    case.standing()
-    assert case.counts[state.A_ZUPT, state.REJECTED_GATE] == 1
-    assert case.counts[state.A_ZARU].sum() == 0
-    assert nominal(case.x).tobytes() == x.tobytes()
-    assert case.p.tobytes() == p.tobytes()
-    assert case.records.of(state.A_ZUPT, 0).column("ratio")[0] > 1.0
+# Fields and air
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.4])

@@ -51,7 +51,8 @@ class Filter:
             self.x, self.ti, self.p, np.zeros((second, kernel.KEPT_WIDTH)), np.zeros((second, state.NT), np.int64),
             np.zeros(kernel.SCRATCH), tuning.as_array(), np.zeros(7), t_ns, f_b, omega_b, np.zeros(n),
             none, np.empty((0, state.AID_WIDTH)), np.empty((n, 4)), np.empty(n, np.int64),
-            np.empty((n, len(TRACK_COLUMNS))), none, np.empty((0, len(RECORD_COLUMNS))), none, np.empty((0, NODE_WIDTH)),
+            np.empty((n, len(TRACK_COLUMNS))),
+            none, np.empty((0, len(RECORD_COLUMNS))), none, np.empty((0, NODE_WIDTH)),
         )  # fmt: skip
         assert (used, stopped) == (n, kernel.STOPPED_END)
         return self
@@ -64,7 +65,7 @@ class Filter:
         return truth
 
     def error_against(self, truth):
-        """Truth minus this estimate, (15,), as ``state`` defines it."""
+        """Truth minus this estimate, (16,): the states of ``INDICES``."""
         x, y = self.x, truth.x
         origin = (x[state.X_LAT], x[state.X_LON], x[state.X_ALT])
         place = [y[i : i + 1] for i in (state.X_LAT, state.X_LON, state.X_ALT)]
@@ -77,6 +78,7 @@ class Filter:
                 phi,
                 y[state.X_BG : state.X_BG + 3] - x[state.X_BG : state.X_BG + 3],
                 y[state.X_BA : state.X_BA + 3] - x[state.X_BA : state.X_BA + 3],
+                [y[state.X_GYRO_SCALE] - x[state.X_GYRO_SCALE]],
             ]
         )
 
@@ -109,8 +111,10 @@ def turning_and_braking(intervals):
     return filtered, (t_ns, truth.f_b[rows], truth.omega_b[rows])
 
 
-ERRORS = np.repeat([10.0, 1.0, 2e-3, 1e-3, 0.1], 3)
-"""What is put wrong in each state, m, m/s, rad, rad/s, m/s2: the model is linear there, and rounding far below."""
+INDICES = [*range(15), state.GYRO_SCALE]
+ERRORS = [*np.repeat([10.0, 1.0, 2e-3, 1e-3, 0.1], 3), 2e-3]
+"""The navigation states and the gyroscope's scale, and what is put wrong in each, m, m/s, rad, rad/s, m/s2, 1: the
+model is linear there, and rounding far below."""
 
 LEFT_OUT = (
     # What Phi leaves out, as a velocity (m/s), an acceleration (m/s2) and a rate (rad/s), for each kind of error:
@@ -124,6 +128,8 @@ LEFT_OUT = (
     (10 * 0.1**2 / 6 * 1e-3, 10 * 0.1**2 / 12 * 1e-3, 5e-4 * 1e-3),
     # Accelerometer bias: C turns by 0.044 rad within an interval, which position feels by a twelfth; as above.
     (0.044 * 0.1 / 12 * 0.1, 5e-4 * 0.1, 1e-8),
+    # Gyroscope scale: as a bias of 0.5 rad/s times it.
+    (10 * 0.1**2 / 6 * 1e-3, 10 * 0.1**2 / 12 * 1e-3, 5e-4 * 1e-3),
 )
 ROUNDING_M = 5e-9
 """Of a latitude in radians, as a length."""
@@ -131,29 +137,30 @@ CURVATURE_M = 10.0**2 / 6.36e6
 """By which 10 m north and back differ, on meridians that meet."""
 
 
-def predicted(filtered, samples, index):
+def predicted(filtered, samples, which):
     """Phi times the error of one state: the covariance of that error alone is its square."""
-    model = filtered.copy()
-    model.p[index * (state.N_STATES + 1)] = ERRORS[index] ** 2
+    model, index = filtered.copy(), INDICES[which]
+    model.p[index * (state.N_STATES + 1)] = ERRORS[which] ** 2
     p = model.run(*samples).p.reshape(state.N_STATES, state.N_STATES)
-    return p[:15, index] / np.sqrt(p[index, index])  # every Phi here has ones on its diagonal
+    return p[INDICES, index] / np.sqrt(p[index, index])  # every Phi here has ones on its diagonal
 
 
 @pytest.mark.parametrize("intervals", [1, 10])
-@pytest.mark.parametrize("index", range(15))
-def test_a_small_error_grows_as_the_covariance_says(index, intervals):
+@pytest.mark.parametrize("which", range(len(INDICES)))
+def test_a_small_error_grows_as_the_covariance_says(which, intervals):
     filtered, samples = turning_and_braking(intervals)
     error = np.zeros(state.N_STATES)
-    error[index] = ERRORS[index]
+    error[INDICES[which]] = ERRORS[which]
     truth = filtered.put_wrong(error).run(*samples)
     grown = filtered.copy().run(*samples).error_against(truth)
-    off = np.abs(grown - predicted(filtered, samples, index)).reshape(5, 3).max(axis=1)
+    off = np.abs(grown - predicted(filtered, samples, which))
     t = 0.1 * intervals
-    velocity, acceleration, rate = LEFT_OUT[index // 3]
-    assert off[0] < velocity * t + acceleration * t * t / 2 + ROUNDING_M + CURVATURE_M * (index < 3)
-    assert off[1] < acceleration * t + 1e-12
-    assert off[2] < rate * t + 1e-12
-    assert off[3:].max() < 1e-12
+    velocity, acceleration, rate = LEFT_OUT[which // 3]
+    curvature_m = CURVATURE_M * (which < 3)
+    assert off[:3].max() < velocity * t + acceleration * t * t / 2 + ROUNDING_M + curvature_m
+    assert off[3:6].max() < acceleration * t + 1e-12
+    assert off[6:9].max() < rate * t + 1e-12
+    assert off[9:].max() < 1e-12
 
 
 def test_noise_adds_up_to_its_integrals():

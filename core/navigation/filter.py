@@ -36,12 +36,13 @@ from core.rotation import matrix_from_quaternion
 
 Series = tuple[TimeArray, FloatArray]
 
-_AID_OF_KIND: Final = {
-    state.K_GNSS: state.A_POSITION,
-    state.K_SPEED: state.A_SPEED,
-    state.K_MAGNETIC: state.A_MAGNETOMETER,
-    state.K_BARO: state.A_BAROMETER,
+_AIDS_OF_KIND: Final = {
+    state.K_GNSS: (state.A_POSITION, state.A_HEIGHT, state.A_VELOCITY),
+    state.K_SPEED: (state.A_SPEED,),
+    state.K_MAGNETIC: (state.A_MAGNETOMETER,),
+    state.K_BARO: (state.A_BAROMETER,),
 }
+"""What a row of each kind is counted and recorded as; the first stands for the whole."""
 _RECORDS_A_FIX: Final = 6
 _RECORDS_A_CONSTRAINT: Final = 6
 """Most records that a fix (two of position, one of height, three of velocity) and a constraint (standstill) bring."""
@@ -107,8 +108,8 @@ class NavigationFilter:
         self._aligned = np.zeros(1, np.bool_)
         self._known = np.zeros(1, np.bool_)  # biases and mounting were estimated before
         self._evaluation_ns = np.zeros(1, np.int64)
-        self._newest_aid_ns = np.zeros(len(_AID_OF_KIND), np.int64)
-        self._used_aid_ns = np.zeros(len(_AID_OF_KIND), np.int64)
+        self._newest_aid_ns = np.zeros(len(_AIDS_OF_KIND), np.int64)
+        self._used_aid_ns = np.zeros(len(_AIDS_OF_KIND), np.int64)
         self._aligner = Aligner(config.tuning)
         # What was refused or given up outside of the kernel: going back does not undo it.
         self._own_counts = np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64)
@@ -191,7 +192,7 @@ class NavigationFilter:
             in_range = usable(values)
             kept = in_time & in_range
             self._newest_aid_ns[kind] = newest_ns
-            aid = _AID_OF_KIND[kind]
+            aid = _AIDS_OF_KIND[kind][0]
             self._own_counts[aid, state.REJECTED_TIME] += np.count_nonzero(~in_time)
             self._own_counts[aid, state.REJECTED_RANGE] += np.count_nonzero(in_time & ~in_range)
             t_ns, values = t_ns[kept], values[kept]
@@ -251,7 +252,7 @@ class NavigationFilter:
             self._pending = self._pending.join(Pending(early.t_ns, early.t_ns, early.rows))
         late = late.take(~ahead)
         while len(late) and (slot := self._recent.slot_before(int(late.t_ns[0]))) is None:
-            self._own_counts[_AID_OF_KIND[round(late.rows[0, 0])], state.REJECTED_TIME] += 1
+            self._own_counts[_AIDS_OF_KIND[round(late.rows[0, 0])][0], state.REJECTED_TIME] += 1
             late = late.take(slice(1, None))
         if not len(late) or slot is None:
             return
@@ -268,7 +269,9 @@ class NavigationFilter:
         _, _, _, told, stopped = self._run(
             recent.t_ns[again], f_b, omega_b, np.ascontiguousarray(samples[:, 6]), aids, epochs
         )
-        own = np.isin(told.t_ns, late.t_ns)
+        own = np.zeros(len(told.t_ns), np.bool_)
+        for kind, aids_of_kind in _AIDS_OF_KIND.items():
+            own |= np.isin(told.column("aid"), aids_of_kind) & np.isin(told.t_ns, late.of(kind)[0])
         records.append(AidRecords(told.t_ns[own], told.values[own]))
         if stopped != kernel.STOPPED_END:
             self.ti[state.T_NOW] = now_ns

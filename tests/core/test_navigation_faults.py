@@ -201,16 +201,16 @@ def test_four_satellites_and_a_two_dimensional_fix_are_enough(circle):
     assert count(fused, "gnss_position", "rejected_range") == 0
 
 
-@pytest.mark.parametrize("late_s", [0.7, 1.7])
+@pytest.mark.parametrize("late_s", [0.7, 1.7, 2.7])
 def test_a_fix_that_comes_late_is_used_until_it_is_too_old(circle, late_s):
     t_ns, fixes = circle.fixes()
     at = np.flatnonzero(t_ns == NOW_NS + 60 * 10**9 + 5 * 10**8)[0]
-    silence = np.arange(at + 1, at + 5)  # until it has come
+    silence = np.arange(at + 1, at + 7)  # until it has come
     t_ns, fixes = np.delete(t_ns, silence), np.delete(fixes, silence, axis=0)
     comes_ns = t_ns.copy()
-    comes_ns[at] += round(late_s * 1e9)  # with the packet that begins 0.5 or 1.5 s after its time
+    comes_ns[at] += round(late_s * 1e9)  # with the packet that begins 0.5, 1.5 or 2.5 s after its time
     fused, row_t_ns, rows = circle.run((t_ns, fixes, comes_ns))
-    assert count(fused, "gnss_position", "rejected_time") == (late_s > 1.0)
+    assert count(fused, "gnss_position", "rejected_time") == (late_s > Tuning().late_s)
     assert circle.errors_m(row_t_ns, rows)[row_t_ns > NOW_NS + 20 * 10**9].max() < 0.2
 
 
@@ -245,7 +245,7 @@ def test_fixes_without_inertial_samples_do_not_pile_up():
     for second in range(100):
         at_ns = np.array([NOW_NS + second * 10**9])
         fused.step(*(samples if second == 50 else none), Aids((at_ns, fix), no_field, no_speed))
-    waiting = fused.arrays()["waiting.gnss.t"]
+    waiting = fused.arrays()["pending.t_ns"]
     assert len(waiting) <= Tuning().max_gap_s + 1
 
 
@@ -263,7 +263,8 @@ def test_without_fixes_the_mode_says_so_and_spreads_grow(circle):
     _, row_t_ns, rows = circle.run((t_ns[kept], fixes[kept]))
     after = row_t_ns > NOW_NS + 63 * 10**9  # two missed fixes and the row that tells
     assert (rows[after, TRACK["mode"]] == Mode.COASTING).all()
-    assert (np.diff(rows[after, TRACK["sd_n_m"]]) > -1e-3).all()
+    # From second to second: between the constraints' updates it rises, and each takes a little off.
+    assert (np.diff(rows[after, TRACK["sd_n_m"]][::10]) > 0.0).all()
     assert not rows[after, TRACK["gnss_used"]].any()
 
 

@@ -428,7 +428,8 @@ class NavigationFilter:
         self.ti[: state.I_COUNTS] = 0
         self.ti[state.T_NOW] = self.ti[state.T_COV] = self.ti[state.T_GNSS] = self.ti[state.T_DECAY] = found.t_ns - 1
         # The first sample at or after the second opens every grid.
-        self.ti[state.T_NEXT_BLOCK] = self.ti[state.T_NEXT_CONSTRAINT] = self.ti[state.T_NEXT_OUTPUT] = found.t_ns
+        grids = [state.T_NEXT_BLOCK, state.T_NEXT_COVARIANCE, state.T_NEXT_CONSTRAINT, state.T_NEXT_OUTPUT]
+        self.ti[grids] = found.t_ns
         start_frame(x, self.ti)
         x[state.X_C0 : state.X_C0 + 9] = matrix_from_quaternion(x[state.X_Q : state.X_Q + 4]).reshape(9)
 

@@ -55,6 +55,7 @@ from core.navigation.state import (
     T_COV,
     T_NEXT_BLOCK,
     T_NEXT_CONSTRAINT,
+    T_NEXT_COVARIANCE,
     T_NEXT_OUTPUT,
     T_NOW,
     VEL,
@@ -82,6 +83,8 @@ from core.navigation.stillness import close_block
 from core.navigation.tuning import PARAMETER
 
 SECOND_NS = 1_000_000_000
+BLOCK_NS = SECOND_NS // 10
+"""Samples are averaged over this before they say whether the vehicle stands: it hides the engine's shaking."""
 
 STOPPED_END, STOPPED_GAP, STOPPED_LOST, STOPPED_DIVERGED = 0, 1, 2, 3
 """Why the loop came back: samples used up; or to align anew, after a gap before the next sample, because fixes
@@ -287,7 +290,7 @@ def run(
     m = scratch[4 * n :]
     imu_lever_b, antenna_lever_b = setup[:3], setup[3:6]
     switches = round(setup[6])
-    block_ns = np.int64(round(par[_COVARIANCE_S] * 1e9))
+    covariance_ns = np.int64(round(par[_COVARIANCE_S] * 1e9))
     constraint_ns = np.int64(round(par[_CONSTRAINT_S] * 1e9))
     output_ns = np.int64(round(par[_OUTPUT_S] * 1e9))
     bridge_s, gap_s = par[_BRIDGE_S], par[_GAP_S]
@@ -372,10 +375,13 @@ def run(
                 close_block(x, ti, p, par)
                 s0, s1, s2, s3, s4, s5, in_block = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
                 due = t // SECOND_NS != ti[T_NEXT_BLOCK] // SECOND_NS or ti[T_NEXT_BLOCK] % SECOND_NS == 0
-                ti[T_NEXT_BLOCK] = (t // block_ns + 1) * block_ns
-            if block_due or constraint_due or (i_aid < n_aids and aid_t_ns[i_aid] <= t):
+                ti[T_NEXT_BLOCK] = (t // BLOCK_NS + 1) * BLOCK_NS
+            propagated = t >= ti[T_NEXT_COVARIANCE] or constraint_due or (i_aid < n_aids and aid_t_ns[i_aid] <= t)
+            if block_due or propagated:
                 fold_position(x, ti)
+            if propagated:
                 _catch_up(x, ti, p, n, m, q, par, node_t_ns, nodes)
+                ti[T_NEXT_COVARIANCE] = (t // covariance_ns + 1) * covariance_ns
             if block_due:
                 if not _plausible(x, p):
                     stopped = STOPPED_DIVERGED
@@ -409,7 +415,8 @@ def run(
             rn, re, rd = x[X_DR], x[X_DR + 1], x[X_DR + 2]
             sn, se, sd, turn = x[X_DV], x[X_DV + 1], x[X_DV + 2], x[X_TURN]
             scale_z = 1.0 + x[X_GYRO_SCALE]
-            next_event = min(ti[T_NEXT_BLOCK], min(ti[T_NEXT_CONSTRAINT], ti[T_NEXT_OUTPUT]))
+            next_event = min(ti[T_NEXT_BLOCK], ti[T_NEXT_COVARIANCE])
+            next_event = min(next_event, min(ti[T_NEXT_CONSTRAINT], ti[T_NEXT_OUTPUT]))
             if i_aid < n_aids:
                 next_event = min(next_event, aid_t_ns[i_aid])
         s0, s1, s2 = s0 + nfx, s1 + nfy, s2 + nfz

@@ -79,6 +79,7 @@ T_NEXT_BLOCK: Final = 3
 T_NEXT_CONSTRAINT: Final = 4
 T_NEXT_OUTPUT: Final = 5
 T_GNSS: Final = 6  # last position fused
+T_NEXT_COVARIANCE: Final = 7
 T_REJECTED: Final = 8  # first of a run of refused positions that agree
 I_REJECTED: Final = 9  # length of that run, 0 if none
 I_RESETS: Final = 10  # position resets since the last fused position

@@ -10,7 +10,7 @@ import pytest
 
 from core.earth import radii_m
 from core.measurements import GNSS, GNSS_COLUMNS
-from core.navigation import state
+from core.navigation import kernel, state
 from core.navigation.constraints import fuse_non_holonomic, fuse_speed, fuse_standstill
 from core.navigation.correction import correct
 from core.navigation.field_aiding import fuse_barometer, fuse_magnetic
@@ -29,6 +29,7 @@ from core.navigation.state import (
     SPEED_SCALE,
     VEL,
 )
+from core.navigation.stillness import close_block
 from core.navigation.tuning import Tuning
 from core.rotation import matrix_from_quaternion, matrix_from_rpy, quaternion_from_matrix
 
@@ -433,6 +434,14 @@ def test_many_samples_of_one_field_say_as_much_as_it_errs_independently():
     assert yaw_sd == pytest.approx(t.magnetic_sd_rad / math.hypot(1.0, t.magnetic_sd_rad), rel=1e-2)
 
 
+def test_a_wrong_heading_is_brought_back_as_far_as_one_independent_sample_can():
+    case, t = Case.of(ATT + 2, 0.3, 0.5, tuning=Tuning()), Tuning()
+    for _ in range(round(t.magnetic_correlation_s / t.magnetic_interval_s)):
+        case.magnetic()
+    variance = t.magnetic_sd_rad**2
+    assert case.left(ATT + 2) == pytest.approx(0.3 * variance / (0.5**2 + variance), rel=0.02)
+
+
 def test_a_step_of_air_pressure_is_refused_and_then_believed_as_its_bias():
     case = Case.of(BARO_BIAS, 0.0, 0.5, tuning=Tuning())
     height = case.left(POS + 2)
@@ -443,3 +452,21 @@ def test_a_step_of_air_pressure_is_refused_and_then_believed_as_its_bias():
     assert 1 <= case.counts[state.A_BAROMETER, state.REJECTED_GATE] <= 10
     assert case.left(BARO_BIAS) == pytest.approx(-25.0, abs=1.0)  # what one sample is good to
     assert case.left(POS + 2) == height
+
+
+# Standing
+
+
+@pytest.mark.parametrize(("speed_sd_mps", "stands"), [(0.02, False), (1.0, True)])
+def test_a_quiet_second_is_a_standstill_only_where_the_filter_may_be_wrong_of_its_speed(speed_sd_mps, stands):
+    # Rolling at 0.4 m/s on a smooth road feels as standing does, for a while.
+    case = Case.of(VEL, 0.0, 0.0, v_vehicle=(0.4, 0.0, 0.0), tuning=Tuning())
+    for i in range(3):
+        case.p[(VEL + i) * (state.N_STATES + 1)] = speed_sd_mps**2
+    C, gravity_n = matrix_from_quaternion(case.x[:4]), case.x[state.X_G : state.X_G + 3]
+    for _ in range(100):  # ten seconds of blocks
+        case.ti[state.T_NOW] += kernel.BLOCK_NS
+        case.ti[state.I_BLOCK] = 10
+        case.x[state.X_BLOCK : state.X_BLOCK + 6] = 10 * np.concatenate([-C.T @ gravity_n, GYRO_BIAS_B])
+        close_block(case.x, case.ti, case.p, case.par)
+    assert bool(case.ti[state.I_STATIONARY]) is stands

@@ -91,7 +91,7 @@ def started(C_n_from_b, v_n, f_b, omega_b):
     x[state.X_F : state.X_F + 3], x[state.X_W : state.X_W + 3] = f_b, omega_b
     x[state.X_C0 : state.X_C0 + 9] = C_n_from_b.reshape(9)
     ti[state.T_NOW] = ti[state.T_COV] = START_NS
-    ti[state.T_NEXT_BLOCK] = START_NS + 100_000_000
+    ti[state.T_NEXT_BLOCK] = ti[state.T_NEXT_COVARIANCE] = START_NS + 100_000_000
     ti[state.T_NEXT_CONSTRAINT] = ti[state.T_NEXT_OUTPUT] = 1 << 62
     start_frame(x, ti)
     return Filter(x, ti, np.zeros(state.N_STATES**2))

@@ -25,6 +25,7 @@ SERIES = (
     ("gnss_t_ns", "gnss"),
     ("magnetometer_t_ns", "magnetic_s_ut"),
     ("speed_t_ns", "speed_mps"),
+    ("barometer_t_ns", "pressure_pa"),
 )
 DETECTORS = st.sampled_from(["telefuse", "paper"])
 
@@ -127,6 +128,7 @@ def test_the_streams_hold_what_they_are_for():
     assert "Trip(" in told["two crashes and a tunnel"].trips
     assert told["holes in the samples"].counts["imu.reset"] == 1
     assert told["wheel speed, from motion"].counts["speed.fused"] > 100
+    assert told["wheel speed, from motion"].counts["barometer.fused"] > 100
     assert not len(told["no fix"].t_ns)
     assert told["no fix"].accidents.count("Accident(") == 2  # found although nobody knows where
     for name in ("two crashes and a tunnel", "holes in the samples", "silence of all", "wheel speed, from motion"):
@@ -207,8 +209,9 @@ def damaged(rng):
     m = from_to(simulated("city", 3, 300.0), 0.0, 150.0)
     changed = {name: getattr(m, name).copy() for series in SERIES for name in series}
     changed["speed_t_ns"], changed["speed_mps"] = m.imu_t_ns[::10].copy(), np.full(len(m.imu_t_ns[::10]), 8.0)
+    changed["barometer_t_ns"], changed["pressure_pa"] = m.imu_t_ns[::5].copy(), np.full(len(m.imu_t_ns[::5]), 94_000.0)
     share = rng.choice([0.0, 1e-3, 1e-2, 0.3])
-    for name in ("f_s", "omega_s", "gnss", "magnetic_s_ut", "speed_mps"):
+    for name in ("f_s", "omega_s", "gnss", "magnetic_s_ut", "speed_mps", "pressure_pa"):
         hit = rng.random(changed[name].shape) < share
         changed[name][hit] = rng.choice(ODD, hit.sum())
         if rng.random() < 0.2:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from service.bench import calibration_gain, consistency, recorded_outages, simulated_outages
+from service.bench import calibration_gain, consistency, mobile_mapping, recorded_outages, simulated_outages
 from service.bench.simulated_outages import Tell
 from service.bench.targets import judged
 from service.errors import UsageError
@@ -23,7 +23,9 @@ PARTS: Final[dict[str, Callable[[Tell], dict[str, Any]]]] = {
 }
 RECORDED: Final = "real"
 """The part that needs recorded drives."""
-PART_NAMES: Final = (*PARTS, RECORDED)
+MAPPING: Final = "seed3"
+"""The part that has some of its gaps in recorded drives."""
+PART_NAMES: Final = (*PARTS, RECORDED, MAPPING)
 
 
 def measure(parts: Sequence[str], drives: Path | None, tell: Callable[[str, float, float], None]) -> dict[str, Any]:
@@ -47,5 +49,10 @@ def measure(parts: Sequence[str], drives: Path | None, tell: Callable[[str, floa
         def told(done: float, total: float, part: str = name) -> None:
             tell(part, done, total)
 
-        found[name] = recorded_outages.measure(folder, told) if name == RECORDED else PARTS[name](told)
+        if name == RECORDED:
+            found[name] = recorded_outages.measure(folder, told)
+        elif name == MAPPING:
+            found[name] = mobile_mapping.measure(told, None if missing else folder)
+        else:
+            found[name] = PARTS[name](told)
     return found | {"targets": judged(found)}

@@ -14,6 +14,7 @@ def tables(found: Mapping[str, Any]) -> str:
         "real": _real,
         "consistency": _consistency,
         "calibration": _calibration,
+        "seed3": _mobile_mapping,
         "targets": _targets,
     }
     return "\n\n".join("\n".join(make(found[name])) for name, make in makers.items() if found.get(name))
@@ -73,6 +74,15 @@ def _calibration(found: Mapping[str, Any]) -> Iterable[str]:
     cells = (f"{_m(one['rms_m'], 1)} / {_m(one['max_m'], 1)}" for one in found["solutions"].values())
     rows.append(("all", "", *cells))
     yield from _aligned(rows)
+
+
+def _mobile_mapping(found: Mapping[str, Any]) -> Iterable[str]:
+    yield "mobile mapping; RMS in m inside each gap:"
+    rows = [("drive", "gap", *found["filters"].values())]
+    for gap in found["gaps"]:
+        cells = (_m(gap[f"{name}_rms_m"]) for name in found["filters"])
+        rows.append((gap["drive"], f"{gap['start_s']:g}:{gap['duration_s']:g}", *cells))
+    yield from _aligned(rows, left=(0, 1))
 
 
 def _targets(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:

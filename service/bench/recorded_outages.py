@@ -23,7 +23,7 @@ NAMED: Final = {"kth_stockholm": Outage(200.0, 99.0), "comma2k19_segment": Outag
 SWEPT: Final = ("kth_stockholm", "boston_vn100")
 DRIVES: Final = tuple(sorted({*NAMED, *SWEPT}))
 
-METHODS: Final[Mapping[str, Mapping[str, Any]]] = {"causal": {}}
+METHODS: Final[Mapping[str, Mapping[str, Any]]] = {"causal": {}, "smoothed": {"smooth": True}}
 """How a drive is fused, as options of ``fuse``."""
 
 

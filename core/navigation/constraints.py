@@ -6,8 +6,7 @@ far past it (a skid, a leap) it is refused.
 
 from __future__ import annotations
 
-from numba import njit
-
+from core.compiled import compiled
 from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FloatArray, TimeArray
 from core.navigation.correction import Work, correct, count, record
@@ -61,7 +60,7 @@ ROBUST_LIMIT = 25.0
 _Vector = tuple[float, float, float]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _row_along(
     c: Nine, v_n: _Vector, v_b: _Vector, u: _Vector, du_pitch: _Vector, du_yaw: _Vector, gain: float, ninth: float
 ) -> tuple[float, Nine]:
@@ -86,7 +85,7 @@ def _row_along(
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _velocity_b(c: Nine, v_n: _Vector) -> _Vector:
     vn, ve, vd = v_n
     return (
@@ -96,7 +95,7 @@ def _velocity_b(c: Nine, v_n: _Vector) -> _Vector:
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray, work: Work) -> None:
     """A car goes where its wheels point: no lateral and no vertical speed in the vehicle's own axes.
 
@@ -151,7 +150,7 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     record(ti, work, t_ns, A_NHC, 1, nu2, s2, ratio2, outcome2)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _reverses(p: FloatArray, row: Nine, forward_mps: float, reading_mps: float, variance: float, odds: float) -> bool:
     """Whether the vehicle rather goes backwards at the speed that its wheels say without a sign.
 
@@ -164,7 +163,7 @@ def _reverses(p: FloatArray, row: Nine, forward_mps: float, reading_mps: float, 
     return -2.0 * reading_mps * forward_mps > odds * variance
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fuse_speed(
     x: FloatArray, ti: TimeArray, p: FloatArray, t_ns: int, reading_mps: float, par: FloatArray, work: Work
 ) -> None:
@@ -193,7 +192,7 @@ def fuse_speed(
     record(ti, work, t_ns, A_SPEED, 0, nu, s, ratio, outcome)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fuse_standstill(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray, work: Work) -> None:
     """Standing: velocity is zero, and what the gyroscopes read is their bias (Earth rate is below their noise)."""
     n, dx, ph = work[0], work[1], work[2]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from core.compiled import compiled
 from core.measurements import FloatArray, TimeArray
 from core.navigation.mechanization import turn_mounting
 from core.navigation.state import (
@@ -46,7 +45,7 @@ The number of states comes at run time on purpose: of a constant the compiler ma
 _OUTCOMES = len(OUTCOMES)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def correct(x: FloatArray, dx: FloatArray) -> None:
     """Close the loop: bring the error estimate ``dx`` into the nominal state and clear it."""
     x[X_DR] += dx[POS]
@@ -74,13 +73,13 @@ def correct(x: FloatArray, dx: FloatArray) -> None:
         dx[i] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def count(ti: TimeArray, aid: int, outcome: int) -> None:
     """Count what became of an aid."""
     ti[I_COUNTS + aid * _OUTCOMES + outcome] += 1
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def record(
     ti: TimeArray,
     work: Work,

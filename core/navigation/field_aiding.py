@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from core.compiled import compiled
 from core.measurements import FloatArray, TimeArray
 from core.navigation.correction import Work, correct, count, record
 from core.navigation.kalman import project_six, update
@@ -41,7 +40,7 @@ FIELD_LEARN_SHARE = 0.02
 """Share by which the usual magnitude follows each sample used: some 50 s at 1 Hz."""
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fuse_magnetic(
     x: FloatArray,
     ti: TimeArray,
@@ -91,7 +90,7 @@ def fuse_magnetic(
     record(ti, work, t_ns, A_MAGNETOMETER, 0, nu, single + par[_P_MAGNETIC] ** 2, ratio, outcome)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fuse_barometer(
     x: FloatArray, ti: TimeArray, p: FloatArray, t_ns: int, height_m: float, par: FloatArray, work: Work
 ) -> None:

@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from core.compiled import compiled
 from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation.admission import position_sd_m
 from core.navigation.correction import Work, correct, count, record
@@ -106,13 +105,13 @@ WILD_RATIO = 9.0
 """An innovation this many times its variance says nothing of the white part: it is an outlier."""
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def slow_share(x: FloatArray, par: FloatArray) -> float:
     """Share of a fix's stated variance that hangs together in time."""
     return float(max(0.0, 1.0 - x[X_WHITE_SHARE] - par[_P_MARGIN]))
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _decay(x: FloatArray, ti: TimeArray, p: FloatArray, n: int, slow_h: float, slow_v: float, par: FloatArray) -> None:
     """Carry the slowly varying error of the fixes up to now, towards the variances ``slow_h``, ``slow_v``.
 
@@ -138,7 +137,7 @@ def _decay(x: FloatArray, ti: TimeArray, p: FloatArray, n: int, slow_h: float, s
     x[X_DECAY] *= beta
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _reset_position(
     x: FloatArray, ti: TimeArray, p: FloatArray, n: int, nu: tuple[float, float], sd_h: float, par: FloatArray
 ) -> None:
@@ -163,7 +162,7 @@ def _reset_position(
     p[(ATT + 2) * n + ATT + 2] += par[_P_RECOVERY_ATT] ** 2
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _widen(x: FloatArray, p: FloatArray, n: int, nu: tuple[float, float], s: tuple[float, float], gate: float) -> None:
     """Open the position where innovations, each within its gate, all point the same way: the filter is too sure.
 
@@ -181,7 +180,7 @@ def _widen(x: FloatArray, p: FloatArray, n: int, nu: tuple[float, float], s: tup
         x[X_MEAN_NU + i] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _learn_share(x: FloatArray, nu_sq: float, own: float, stated: float, par: FloatArray) -> None:
     """Let the white share follow what an innovation's square has beyond the filter's ``own`` variance.
 
@@ -194,7 +193,7 @@ def _learn_share(x: FloatArray, nu_sq: float, own: float, stated: float, par: Fl
     x[X_WHITE_SHARE] = max(0.0, x[X_WHITE_SHARE] + (share - x[X_WHITE_SHARE]) / x[X_WHITE_FIXES])
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _refused(x: FloatArray, ti: TimeArray, t_ns: int, nu_n: float, nu_e: float, sd_h: float, par: FloatArray) -> bool:
     """Remember a refused fix; True if enough of them in a row agree with each other against the filter."""
     if ti[I_REFUSED] == 0:
@@ -212,7 +211,7 @@ def _refused(x: FloatArray, ti: TimeArray, t_ns: int, nu_n: float, nu_e: float, 
     return bool(long_enough and ti[I_REJECTED] >= par[_P_RECOVERY_FIXES])
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def repeats(x: FloatArray, ti: TimeArray, p: FloatArray, fix: FloatArray, par: FloatArray) -> bool:
     """Whether a fix says to the last bit what the one before said although the vehicle moves; counted if so.
 
@@ -235,7 +234,7 @@ def repeats(x: FloatArray, ti: TimeArray, p: FloatArray, fix: FloatArray, par: F
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fuse_position(
     x: FloatArray,
     ti: TimeArray,
@@ -329,7 +328,7 @@ def fuse_position(
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def lost(ti: TimeArray, par: FloatArray) -> bool:
     """Whether fixes have contradicted the state for so long that it has to be found anew."""
     if ti[I_RESETS] >= par[_P_LOST_RESETS]:
@@ -338,7 +337,7 @@ def lost(ti: TimeArray, par: FloatArray) -> bool:
     return bool(ti[I_REFUSED] >= par[_P_RECOVERY_FIXES] and refused_s >= par[_P_LOST_S])
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fuse_velocity(
     x: FloatArray,
     ti: TimeArray,
@@ -406,7 +405,7 @@ def fuse_velocity(
     correct(x, dx)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def too_old(ti: TimeArray, t_ns: int, par: FloatArray, aid: int) -> bool:
     """Whether a sample lies too far behind the newest inertial one; counted if so."""
     if (ti[T_NOW] - t_ns) * 1e-9 > par[_P_AGE]:

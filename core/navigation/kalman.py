@@ -1,14 +1,15 @@
 """Filter algebra on a flat, row-major covariance: scalar and paired measurement updates and housekeeping.
 
-Rows are contiguous and the size comes at run time, which lets the compiler vectorise the inner loops. A row H is
-given by the states that it touches and its factors there.
+A row H is given by the states that it touches and its factors there. Two habits let the compiler make vector code:
+loops end at ``n`` = N_STATES as it comes at run time, as of a constant it unrolls them; and a projection is compiled
+where it is used, so that the rows it reads lie at known places and cannot overlap what it writes.
 """
 
 from __future__ import annotations
 
-from numba import njit
-
+from core.compiled import compiled
 from core.measurements import FloatArray
+from core.navigation.state import N_STATES
 
 Six = tuple[float, float, float, float, float, float]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
@@ -16,7 +17,7 @@ SixStates = tuple[int, int, int, int, int, int]
 NineStates = tuple[int, int, int, int, int, int, int, int, int]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def project_axis(p: FloatArray, n: int, i: int, ph: FloatArray) -> float:
     """P H' for H that picks state ``i`` alone into ``ph`` (n,); returns H P H'."""
     row = i * n
@@ -25,17 +26,18 @@ def project_axis(p: FloatArray, n: int, i: int, ph: FloatArray) -> float:
     return float(p[row + i])
 
 
-@njit(cache=True, nogil=True)
+@compiled(forceinline=True)
 def project_six(p: FloatArray, n: int, at: SixStates, h: Six, ph: FloatArray) -> float:
     """P H' into ``ph`` (n,) for a row H with the factors ``h`` at the states ``at``; returns H P H'."""
     h0, h1, h2, h3, h4, h5 = h
-    a, b, c, d, e, f = at[0] * n, at[1] * n, at[2] * n, at[3] * n, at[4] * n, at[5] * n
+    a, b, c = at[0] * N_STATES, at[1] * N_STATES, at[2] * N_STATES
+    d, e, f = at[3] * N_STATES, at[4] * N_STATES, at[5] * N_STATES
     for j in range(n):
         ph[j] = (h0 * p[a + j] + h1 * p[b + j] + h2 * p[c + j]) + (h3 * p[d + j] + h4 * p[e + j] + h5 * p[f + j])
-    return along_six(at, h, ph)
+    return float(along_six(at, h, ph))
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def along_six(at: SixStates, h: Six, v: FloatArray) -> float:
     """H v for a row H as in ``project_six`` and a vector (n,)."""
     return float(
@@ -43,22 +45,23 @@ def along_six(at: SixStates, h: Six, v: FloatArray) -> float:
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled(forceinline=True)
 def project_nine(p: FloatArray, n: int, at: NineStates, h: Nine, ph: FloatArray) -> float:
     """As ``project_six``, for nine states."""
     h0, h1, h2, h3, h4, h5, h6, h7, h8 = h
-    a, b, c, d, e = at[0] * n, at[1] * n, at[2] * n, at[3] * n, at[4] * n
-    f, g, i, k = at[5] * n, at[6] * n, at[7] * n, at[8] * n
+    a, b, c = at[0] * N_STATES, at[1] * N_STATES, at[2] * N_STATES
+    d, e, f = at[3] * N_STATES, at[4] * N_STATES, at[5] * N_STATES
+    g, i, k = at[6] * N_STATES, at[7] * N_STATES, at[8] * N_STATES
     for j in range(n):
         ph[j] = (
             (h0 * p[a + j] + h1 * p[b + j] + h2 * p[c + j])
             + (h3 * p[d + j] + h4 * p[e + j] + h5 * p[f + j])
             + (h6 * p[g + j] + h7 * p[i + j] + h8 * p[k + j])
         )
-    return along_nine(at, h, ph)
+    return float(along_nine(at, h, ph))
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def along_nine(at: NineStates, h: Nine, v: FloatArray) -> float:
     """H v for a row H as in ``project_nine`` and a vector (n,)."""
     return float(
@@ -68,7 +71,7 @@ def along_nine(at: NineStates, h: Nine, v: FloatArray) -> float:
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled(fastmath={"contract"})
 def update(p: FloatArray, n: int, ph: FloatArray, s: float, innovation: float, dx: FloatArray) -> None:
     """Fuse a scalar: ``ph`` = P H', ``s`` = H P H' + R, innovation = z - h(x) - H dx; ``dx`` (n,) takes it on."""
     gain = innovation / s
@@ -82,14 +85,14 @@ def update(p: FloatArray, n: int, ph: FloatArray, s: float, innovation: float, d
             p[row + j] -= k * ph[j]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def decorrelate(n: int, first: FloatArray, second: FloatArray, share: float) -> None:
     """Take from ``second`` = P H2' what an update by ``first`` = P H1' removes: share = H2 P H1' / s1."""
     for j in range(n):
         second[j] -= share * first[j]
 
 
-@njit(cache=True, nogil=True)
+@compiled(fastmath={"contract"})
 def update_pair(
     p: FloatArray,
     n: int,
@@ -115,7 +118,7 @@ def update_pair(
             p[row + j] -= k1 * first[j] + k2 * second[j]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def symmetrise(p: FloatArray, n: int) -> None:
     """Remove what rounding has put between P and its transpose."""
     for i in range(n):

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from core.compiled import compiled
 from core.measurements import FloatArray, TimeArray
 from core.navigation.admission import MAX_LATITUDE_RAD
 from core.navigation.constraints import fuse_non_holonomic, fuse_speed, fuse_standstill
@@ -94,8 +94,8 @@ MOST_MPS, MOST_HEIGHT_M, MOST_SD_M = 300.0, 50_000.0, 100_000.0
 MOST_ACCEL_BIAS_MPS2, MOST_GYRO_BIAS_RADPS = 5.0, 1.0
 """Beyond any of these the state is made of damaged samples: no vehicle and no bias is so fast or so far off."""
 
-SCRATCH = 4 * N_STATES + N_STATES**2
-"""Numbers that ``run`` works in: error estimate, two P H', variances added, Phi P."""
+SCRATCH = 4 * N_STATES
+"""Numbers that ``run`` works in: error estimate, two P H', variances added."""
 
 USE_NHC, USE_ZUPT = 1, 2
 """Switches of the constraints, as bits."""
@@ -124,13 +124,11 @@ _GAP_S = PARAMETER["max_gap_s"]
 _SATURATED = PARAMETER["saturated_accel_sd_mps2"]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _catch_up(
     x: FloatArray,
     ti: TimeArray,
     p: FloatArray,
-    n: int,
-    m: FloatArray,
     q: FloatArray,
     par: FloatArray,
     node_t_ns: TimeArray,
@@ -181,13 +179,13 @@ def _catch_up(
         ti[I_NODES] += 1
     x[X_DECAY], x[X_DECAY_VAR], x[X_DECAY_VAR + 1], x[X_DECAY_VAR + 2] = 1.0, 0.0, 0.0, 0.0
     ti[I_BROKEN] = 0
-    propagate(p, m, n, dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, x[X_TURN], q)
+    propagate(p, dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, x[X_TURN], q)
     x[X_DV], x[X_DV + 1], x[X_DV + 2], x[X_TURN] = 0.0, 0.0, 0.0, 0.0
     x[X_SATURATED_S], x[X_BRIDGED_S] = 0.0, 0.0
     ti[T_COV] = ti[T_NOW]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _plausible(x: FloatArray, p: FloatArray) -> bool:
     """Whether a vehicle and its box can be in this state; False too where it is not a number."""
     sane = abs(x[X_ALT]) < MOST_HEIGHT_M and abs(x[X_LAT]) < MAX_LATITUDE_RAD
@@ -199,7 +197,7 @@ def _plausible(x: FloatArray, p: FloatArray) -> bool:
     return bool(sane)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _fuse(
     x: FloatArray,
     ti: TimeArray,
@@ -226,7 +224,7 @@ def _fuse(
         fuse_barometer(x, ti, p, t_ns, aid[1], par, work)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def keep(x: FloatArray, ti: TimeArray, p: FloatArray, kept: FloatArray, kept_ti: TimeArray) -> None:
     """Keep the whole state, in the place of the oldest."""
     slot = (ti[T_NOW] // SECOND_NS) % kept.shape[0]
@@ -239,7 +237,7 @@ def keep(x: FloatArray, ti: TimeArray, p: FloatArray, kept: FloatArray, kept_ti:
     kept_ti[slot, I_RECORDS], kept_ti[slot, I_NODES] = 0, 0  # of this call, not of the state
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def run(
     x: FloatArray,
     ti: TimeArray,
@@ -287,7 +285,6 @@ def run(
     n = round(math.sqrt(p.shape[0]))
     dx, q = scratch[:n], scratch[n : 2 * n]
     work = (n, dx, scratch[2 * n : 3 * n], scratch[3 * n : 4 * n], log_t_ns, log)
-    m = scratch[4 * n :]
     imu_lever_b, antenna_lever_b = setup[:3], setup[3:6]
     switches = round(setup[6])
     covariance_ns = np.int64(round(par[_COVARIANCE_S] * 1e9))
@@ -380,7 +377,7 @@ def run(
             if block_due or propagated:
                 fold_position(x, ti)
             if propagated:
-                _catch_up(x, ti, p, n, m, q, par, node_t_ns, nodes)
+                _catch_up(x, ti, p, q, par, node_t_ns, nodes)
                 ti[T_NEXT_COVARIANCE] = (t // covariance_ns + 1) * covariance_ns
             if block_due:
                 if not _plausible(x, p):

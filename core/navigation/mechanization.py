@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from core.compiled import compiled
 from core.earth import EARTH_RATE_RADPS, gravity_mps2, radii_m
 from core.measurements import FloatArray, TimeArray
 from core.navigation.state import (
@@ -31,7 +31,7 @@ from core.navigation.state import (
 )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def matrix_of(w, x, y, z):  # type: ignore[no-untyped-def]
     """The nine elements of C_n_from_b, row by row, of a unit quaternion."""
     return (
@@ -47,7 +47,7 @@ def matrix_of(w, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def turned(w, x, y, z, ax, ay, az):  # type: ignore[no-untyped-def]
     """Quaternion (w, x, y, z) followed by the body rotation vector (ax, ay, az), rad.
 
@@ -67,7 +67,7 @@ def turned(w, x, y, z, ax, ay, az):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def fold_position(x: FloatArray, ti: TimeArray) -> None:
     """Bring latitude, longitude, height and the frame's slow terms up to ``ti[T_NOW]``.
 
@@ -121,14 +121,14 @@ def start_frame(x: FloatArray, ti: TimeArray) -> None:
     renew_mounting(x)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def renew_mounting(x: FloatArray) -> None:
     """Sines and cosines of the mounting's angles, which ``turn_mounting`` carries on in between."""
     x[X_MOUNT_SC], x[X_MOUNT_SC + 1] = math.sin(x[X_MOUNT_PITCH]), math.cos(x[X_MOUNT_PITCH])
     x[X_MOUNT_SC + 2], x[X_MOUNT_SC + 3] = math.sin(x[X_MOUNT_YAW]), math.cos(x[X_MOUNT_YAW])
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def turn_mounting(x: FloatArray, pitch_rad: float, yaw_rad: float) -> None:
     """Add small angles to the mounting, to second order in its sines and cosines."""
     x[X_MOUNT_PITCH] += pitch_rad

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from numba import njit
-
+from core.compiled import compiled
 from core.measurements import FloatArray, TimeArray
 from core.navigation.kalman import Nine
 from core.navigation.state import (
@@ -54,7 +53,7 @@ N_P: Final = N_AFTER + N_NOMINAL  # upper triangle of the covariance, by rows
 NODE_WIDTH: Final = N_P + N_STATES * (N_STATES + 1) // 2
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _put_nominal(x: FloatArray, row: FloatArray, at: int) -> None:
     for i in range(4):
         row[at + S_Q + i] = x[X_Q + i]
@@ -72,7 +71,7 @@ def _put_nominal(x: FloatArray, row: FloatArray, at: int) -> None:
     row[slow + 3], row[slow + 4], row[slow + 5] = x[X_GNSS_DELAY], x[X_BARO_BIAS], x[X_GYRO_SCALE]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def open_node(
     x: FloatArray, row: FloatArray, dt: float, dv: tuple[float, float, float], c: Nine, turn: float, added: FloatArray
 ) -> None:
@@ -87,7 +86,7 @@ def open_node(
     _put_nominal(x, row, N_BEFORE)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def close_node(x: FloatArray, ti: TimeArray, p: FloatArray, row: FloatArray) -> None:
     """Write the state and the covariance as the aids left them."""
     row[N_DECAY] = x[X_DECAY]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from core.compiled import compiled
 from core.measurements import FloatArray, TimeArray
 from core.navigation.mechanization import matrix_of
 from core.navigation.state import (
@@ -41,7 +40,7 @@ _C_LAT, _C_VN, _C_ROLL, _C_SD_N, _C_SD_YAW, _C_USED, _C_MODE = (
 _COASTING, _AIDED = int(Mode.COASTING), int(Mode.AIDED)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def put_row(x: FloatArray, ti: TimeArray, p: FloatArray, lever_b: FloatArray, par: FloatArray, row: FloatArray) -> None:
     """One row of the track, of the vehicle's body: ``lever_b`` is the inertial sensor's place in it."""
     n = N_STATES

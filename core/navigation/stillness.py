@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from core.compiled import compiled
 from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FloatArray, TimeArray
 from core.navigation.mechanization import matrix_of
@@ -45,7 +44,7 @@ _ZUPT = PARAMETER["zupt_sd_mps"]
 _STILL_SPEED = PARAMETER["still_max_speed_mps"]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _variance(x: FloatArray, i: int) -> float:
     """Variance of one axis over the ring's block means."""
     total, squares = 0.0, 0.0
@@ -57,14 +56,14 @@ def _variance(x: FloatArray, i: int) -> float:
     return max(squares / N_BLOCKS - (total / N_BLOCKS) ** 2, 0.0)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _speed_sd(p: FloatArray) -> float:
     """The larger sd of the horizontal velocity."""
     i0 = VEL * N_STATES + VEL
     return math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _moving_ratio(x: FloatArray, p: FloatArray, par: FloatArray) -> float:
     """The square of the horizontal velocity over its variance, and over that of a standing car: chi-squared of two."""
     i0 = VEL * N_STATES + VEL
@@ -74,7 +73,7 @@ def _moving_ratio(x: FloatArray, p: FloatArray, par: FloatArray) -> float:
     return float((see * vn * vn - 2.0 * sne * vn * ve + snn * ve * ve) / (snn * see - sne * sne))
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _quiet(x: FloatArray, p: FloatArray, par: FloatArray, speed_sd: float) -> tuple[bool, float, float]:
     """Whether over one second the 0.1 s means hardly move (they hide the engine's shaking, not the road's).
 
@@ -133,7 +132,7 @@ def _quiet(x: FloatArray, p: FloatArray, par: FloatArray, speed_sd: float) -> tu
     return True, spread_f, spread_w
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) -> None:
     """Put the open block's means into the ring and decide whether the vehicle stands.
 

@@ -56,7 +56,7 @@ class _Setting:
     records: bool = True
 
 
-def _gnss(yaw: FloatArray) -> FloatArray:
+def _gnss(yaw: npt.NDArray[np.floating[Any]]) -> FloatArray:
     radius_m = SPEED_MPS / YAW_RATE_RADPS
     gnss = np.full((len(yaw), len(GNSS_COLUMNS)), np.nan)
     values = {
@@ -196,7 +196,7 @@ def measure(packets: int = 1000) -> dict[str, Any]:
 def measure_parts(packets: int = 60) -> dict[str, float]:
     """What each part adds, ns a sample: the difference that leaving it out makes, beginning with all aids on.
 
-    ``samples`` is what stays without any: mechanisation, and the covariance and the kept state once a second.
+    ``samples`` is what stays without any: mechanisation, blocks, and once a second covariance and kept state.
     Without any aid the state holds for two minutes.
     """
     slow = Tuning(covariance_interval_s=1.0, output_interval_s=60.0)

@@ -187,13 +187,14 @@ def measure(packets: int = 1000) -> dict[str, Any]:
         "ns_per_epoch_quartiles": [low, high],
         "ns_per_epoch_all_aids": float(np.median(best["all"])),
         "call_ns": call_ns,
+        "parts_ns": _parts(),
         "packets": packets,
         "rounds": ROUNDS,
         "rate_hz": RATE_HZ,
     }
 
 
-def measure_parts(packets: int = 60) -> dict[str, float]:
+def _parts(packets: int = 60) -> dict[str, float]:
     """What each part adds, ns a sample: the difference that leaving it out makes, beginning with all aids on.
 
     ``samples`` is what stays without any: mechanisation, blocks, and once a second covariance and kept state.
@@ -218,4 +219,4 @@ def measure_parts(packets: int = 60) -> dict[str, float]:
     best, call_ns = _quietest(settings, packets, 5 * ROUNDS)
     spent = [float(np.median(best[name])) for name in settings] + [call_ns / RATE_HZ]
     parts = {name: more - less for name, more, less in zip(settings, spent, spent[1:], strict=False)}
-    return {**parts, "call": call_ns / RATE_HZ, "all": spent[0]}
+    return {**parts, "call": call_ns / RATE_HZ}

@@ -168,6 +168,7 @@ def _print_kernel(*, as_json: bool) -> None:
         f" {figures['rounds']} rounds of {figures['packets']} packets of {figures['rate_hz']} samples;"
         f" {figures['call_ns']:.0f} ns of a packet's time is the call itself"
     )
+    print("  " + ", ".join(f"{name} {ns:.1f}" for name, ns in figures["parts_ns"].items()))
 
 
 def _check(arguments: argparse.Namespace) -> None:

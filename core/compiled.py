@@ -11,7 +11,7 @@ def compiled(**options: Any) -> Any:
     """Decorator of a function that neither makes arrays nor gives any back; ``options`` are numba's.
 
     Such a function need not count references to arrays: its caller holds them as long as it runs. Counting costs
-    more than the small algebra between (measured: two fifths of the filter's time, and most of a call's own).
+    more than the small algebra between (measured: a third of the filter's time, and most of a call's own).
     """
     settings: dict[str, Any] = {"cache": True, "nogil": True, "_nrt": False, **options}
     return njit(**settings)

@@ -12,7 +12,7 @@ from core.navigation import state
 from core.navigation.records import AidRecords
 from core.navigation.solution import SLOW, SLOW_COLUMNS, Solution
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
-from core.session import Accident, SessionConfig
+from core.session import Accident, MountingEstimate, SessionConfig
 from service.recordings.drive_folder import Drive, Reference
 from service.recordings.fusing import Fused, Outage, figures
 from service.reports.navigation import NavigationReport
@@ -64,13 +64,15 @@ def report(seconds: int = 120, rate_hz: int = 50, name: str = "Tunnel & <crash>"
     )  # fmt: skip
     drive = Drive(name, START_NS, "van-1", measurements, reference=truth if reference else None)
 
+    mounting = MountingEstimate(True, False, (0.0, 0.0, 0.0), (0.01, 0.01, 0.01))
     impact = Impact(
         t_ns=START_NS + 70_000_000_000, decided_t_ns=START_NS + 70_100_000_000, detector="telefuse",
         severity=Severity.SEVERE, confidence=0.9, delta_v_mps=9.0, delta_v_sd_mps=0.5, delta_v_b_mps=(-9.0, 0.0),
         pdof_deg=0.0, peak_mps2=150.0, duration_s=0.1, clipped=False, speed_before_mps=10.0, paper_agrees=True,
     )  # fmt: skip
     accident = Accident(impact, LAT_RAD, LON_RAD, ALT_M, 1.0, 1.0, 0.0, 0.0, Mode.AIDED)
-    fused = Fused(track, (accident,), {"gnss_position.fused": 99, "gnss_position.rejected_gate": 1}, n, n * 1e-7)
+    counts = {"gnss_position.fused": 99, "gnss_position.rejected_gate": 1}
+    fused = Fused(track, (accident,), counts, n, n * 1e-7, mounting)
     outages = [outage]
     return NavigationReport(
         drive, SessionConfig(), outages, fused, figures(drive, fused, outages), _solution(track), _records(t_s, rng)

@@ -101,6 +101,9 @@ COURSE_MIN_SPEED_MPS = 1.0
 FADING = 0.3
 """Weight of the newest innovation in their mean: some three fixes. A choice; recovery within 10 s of good fixes."""
 
+SLOW_LIMIT = 9.0
+"""Times the stated variance that a height's slow error may have: reflections between houses are three times worse."""
+
 WILD_RATIO = 9.0
 """An innovation this many times its variance says nothing of the white part: it is an outlier."""
 
@@ -318,8 +321,13 @@ def fuse_position(
         if believed:
             update(p, n, ph, s, innovation, dx)
         else:
-            # A height that stays wrong must not stay refused: a quarter of its excess is believed next time.
-            p[(GNSS_ERROR + 2) * n + GNSS_ERROR + 2] += 0.25 * innovation * innovation / par[_P_GATE]
+            # A height that stays wrong must not stay refused: a quarter of its excess is believed next time, as the
+            # receiver's slow error as far as that may be, and beyond as the filter's own.
+            excess = 0.25 * innovation * innovation / par[_P_GATE]
+            slow_at = (GNSS_ERROR + 2) * n + GNSS_ERROR + 2
+            to_slow = min(excess, max(0.0, SLOW_LIMIT * sd_v * sd_v - p[slow_at]))
+            p[slow_at] += to_slow
+            p[(POS + 2) * n + POS + 2] += excess - to_slow
         outcome = FUSED if believed else REJECTED_GATE
         count(ti, A_HEIGHT, outcome)
         record(ti, work, t_ns, A_HEIGHT, 0, innovation, s, ratio, outcome)

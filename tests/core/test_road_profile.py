@@ -38,7 +38,7 @@ def driven(route, seed):
         imu_t_ns=absolute_ns(truth.t_s), f_s=f_s, omega_s=omega_s, gnss_t_ns=absolute_ns(gnss_t_s), gnss=gnss
     )
     recorded = Drive("road", START_T_NS, "car", m, imu=ImuSetup(rate_hz=50.0, mounting_rpy_deg=(0.0, 0.0, 0.0)))
-    return fuse(recorded, fuse_config(vehicle_config(recorded))).solution, truth
+    return fuse(recorded, fuse_config(vehicle_config(recorded)), keep=True).solution, truth
 
 
 @functools.cache

@@ -67,7 +67,9 @@ def test_a_perfect_laboratory_does_not_make_the_filter_sure_of_itself_in_a_car()
 def test_a_sensor_worse_than_the_usual_is_taken_at_its_word() -> None:
     poor = TriadNoise(random_walk=3e-3, turn_on_bias_sd=0.1)
     tuning = matched_tuning(Tuning(), TriadNoise(), poor)
-    assert tuning.gyro_noise_radps_rts == pytest.approx(math.hypot(1.5 * 3e-3, 2e-4))
+    assert tuning.gyro_noise_radps_rts == pytest.approx(
+        math.hypot(NoiseAllowance().stated_factor * 3e-3, NoiseAllowance().gyro_noise_radps_rts)
+    )
     assert tuning.gyro_bias_sd_radps > 0.1
     with pytest.raises(InvalidInputError, match="gyro_noise_radps_rts"):
         matched_tuning(Tuning(), TriadNoise(), replace(poor, random_walk=1.0))

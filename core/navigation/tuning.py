@@ -153,7 +153,7 @@ class Tuning(Tunables):
         150.0, unit="m", low=1, high=1000, source="weather within 20 hPa of standard, 170 m; geoid within 100 m"
     )
     baro_bias_walk_m_rts: float = tunable(
-        0.03, unit="m/sqrt(s)", low=0, high=1, source="weather changes by 0.2 to 1 hPa an hour"
+        0.08, unit="m/sqrt(s)", low=0, high=1, source="weather, and the wind of driving: 2.5 m at 30 m/s"
     )
     baro_interval_s: float = tunable(1.0, unit="s", low=0.01, high=60, source="faster samples carry the same errors")
 

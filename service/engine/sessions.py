@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from typing import Final, Literal
 
 import numpy as np
@@ -65,9 +66,16 @@ def warm_up() -> None:
         omega_s=np.zeros((len(t_s), 3)),
         gnss_t_ns=np.rint(fix_s * 1e9).astype(np.int64),
         gnss=gnss,
+        magnetometer_t_ns=np.rint(fix_s * 1e9).astype(np.int64),
+        magnetic_s_ut=np.tile([25.0, 0.0, 40.0], (duration_s, 1)),
+        speed_t_ns=np.rint(fix_s * 1e9).astype(np.int64),
+        speed_mps=np.full(duration_s, speed_mps),
+        barometer_t_ns=np.rint(fix_s * 1e9).astype(np.int64),
+        pressure_pa=np.full(duration_s, 100_000.0),
     )
-    for detector in DETECTORS:
-        config = SessionConfig(mounting=Mounting(known=True), accel_full_scale_mps2=FULL_SCALE_MPS2, detector=detector)
+    for detector, known in product(DETECTORS, (True, False)):
+        mounting = Mounting(known=known)
+        config = SessionConfig(mounting=mounting, accel_full_scale_mps2=FULL_SCALE_MPS2, detector=detector)
         session = Session(config)
         session.step(measurements)
         Session.restore(config, session.snapshot())

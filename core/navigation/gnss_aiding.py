@@ -398,6 +398,9 @@ def fuse_velocity(
     record(ti, work, t_ns, A_VELOCITY, 0, nu_n, snn, ratio, outcome)
     record(ti, work, t_ns, A_VELOCITY, 1, nu_e, see, ratio, outcome)
     if outcome == REJECTED_GATE:
+        # As with heights: a velocity that stays wrong must not stay refused.
+        p[VEL * n + VEL] += 0.25 * nu_n * nu_n / par[_P_GATE_VEL]
+        p[(VEL + 1) * n + VEL + 1] += 0.25 * nu_e * nu_e / par[_P_GATE_VEL]
         return
     share = sne / snn
     decorrelate(n, ph, ph2, share)

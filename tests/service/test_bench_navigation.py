@@ -117,7 +117,7 @@ def test_recorded_drives_have_an_outage_every_45_s_after_the_first_minute():
         assert found[name]["outage"]["start_s"] == outage.start_s
         assert found[name]["outage"]["causal"]["rms_m"] > 0.0
     assert "median end" in tables({"real": found})
-    assert len(judged({"real": found})) == 4
+    assert len(judged({"real": found})) == 8  # four figures, each causal and smoothed
 
 
 def test_an_outage_without_a_position_counts_as_the_worst():

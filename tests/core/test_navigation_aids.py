@@ -367,15 +367,19 @@ def nominal(x):
     return np.concatenate([x[: state.X_F], x[state.X_DR : state.X_DR + 3]])
 
 
-def test_a_refused_position_or_velocity_changes_nothing_but_the_memory_of_it():
+def test_a_refused_position_or_velocity_moves_nothing():
     case = Case.of(POS, 0.0, 1.0)
     x, p = nominal(case.x).copy(), case.p.copy()
     far = case.fix()
     far[GNSS["lat_rad"]] += 200.0 / 6.37e6
     assert not case.position(far)
+    assert case.p.tobytes() == p.tobytes()
     case.velocity(case.fix(vn_mps=80.0))
     assert nominal(case.x).tobytes() == x.tobytes()
-    assert case.p.tobytes() == p.tobytes()
+    # A velocity that stays wrong must not stay refused: its spread alone grows, by no more than a quarter of the error.
+    grown = (case.p - p).reshape(state.N_STATES, state.N_STATES)
+    assert np.count_nonzero(grown) <= 2
+    assert (0.0 < grown[VEL, VEL]) & (grown[VEL, VEL] < 0.25 * 80.0**2)
     assert case.counts[state.A_POSITION, state.REJECTED_GATE] == case.counts[state.A_VELOCITY, state.REJECTED_GATE] == 1
     assert case.ti[state.T_GNSS] == NOW_NS
     assert case.ti[state.I_GNSS_USED] == 0

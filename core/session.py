@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -164,8 +163,8 @@ class Session:
                 )
             )
             tracks.append(fused.track)
-        track = functools.reduce(_joined, tracks)
-        rows = _joined(self._recent, track)
+        track = Track.joined(tracks)
+        rows = Track.joined([self._recent, track])
         accidents = tuple(_place(impact, _told_until(rows, impact.decided_t_ns)) for impact in impacts)
         self._recent = _newest(rows, RECENT_S)
         trips = tuple(self._trips.step(track, measurements.ignition))
@@ -270,12 +269,6 @@ class Session:
         for aid, outcome in zip(*np.nonzero(table > 0), strict=True):
             name = f"{state.AIDS[aid]}.{state.OUTCOMES[outcome]}"
             counts[name] = counts.get(name, 0) + int(table[aid, outcome])
-
-
-def _joined(before: Track, after: Track) -> Track:
-    if not len(after.t_ns):
-        return before
-    return Track(np.concatenate([before.t_ns, after.t_ns]), np.concatenate([before.values, after.values]))
 
 
 def _newest(track: Track, span_s: float) -> Track:

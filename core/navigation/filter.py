@@ -25,14 +25,13 @@ from core.navigation.admission import (
 )
 from core.navigation.alignment import SECOND_NS, Aligner, InitialState, Start, next_second_ns, turned
 from core.navigation.lateness import Recent
-from core.navigation.mechanization import normalised, renew_mounting, start_frame
 from core.navigation.nodes import NODE_WIDTH
 from core.navigation.pending import Pending, pending
 from core.navigation.recorder import Recorder
 from core.navigation.records import RECORD_COLUMNS, AidRecords
+from core.navigation.starting import begin
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.navigation.tuning import Tuning
-from core.rotation import matrix_from_quaternion
 
 Series = tuple[TimeArray, FloatArray]
 
@@ -170,7 +169,7 @@ class NavigationFilter:
                 if self.recorder is not None:
                     self.recorder.add(_no_nodes(), track, _no_records())
             begin += used
-        return FilterOutput(_joined_rows(rows), epochs, _joined_records(records))
+        return FilterOutput(Track.joined(rows), epochs, AidRecords.joined(records))
 
     # Aids
 
@@ -414,65 +413,14 @@ class NavigationFilter:
         return Track(gnss_t[recent][-1:], row)
 
     def _start(self, found: InitialState) -> None:
-        """Set the state from an alignment; what was known of biases and mounting is kept."""
-        x, t = self.x, self.config.tuning
-        n = state.N_STATES
+        """Begin to navigate from an alignment; what was known of biases and mounting is kept."""
         kept = self.covariance() if self._known[0] else None
-        bias_before = x[state.X_BG : state.X_BG + 3].copy()
-        x[state.X_Q : state.X_Q + 4] = normalised(found.q_n_from_b)
-        x[state.X_V : state.X_V + 3] = found.v_n
-        x[state.X_LAT], x[state.X_LON], x[state.X_ALT] = found.lat_rad, found.lon_rad, found.alt_m
-        x[state.X_DV : state.X_DV + 3] = 0.0
-        x[state.X_BLOCK : state.X_STILL_F] = 0.0
-        x[state.X_GNSS_ERROR : state.NX] = 0.0
-        self.ti[: state.I_COUNTS] = 0
-        self.ti[state.T_NOW] = self.ti[state.T_COV] = self.ti[state.T_GNSS] = self.ti[state.T_DECAY] = found.t_ns - 1
-        # The first sample at or after the second opens every grid.
-        grids = [state.T_NEXT_BLOCK, state.T_NEXT_COVARIANCE, state.T_NEXT_CONSTRAINT, state.T_NEXT_OUTPUT]
-        self.ti[grids] = found.t_ns
-        start_frame(x, self.ti)
-        x[state.X_C0 : state.X_C0 + 9] = matrix_from_quaternion(x[state.X_Q : state.X_Q + 4]).reshape(9)
-
-        sd = np.empty(n)
-        sd[state.POS : state.POS + 2], sd[state.POS + 2] = found.position_sd_m
-        sd[state.VEL : state.VEL + 3] = found.velocity_sd_mps
-        sd[state.ATT : state.ATT + 2] = found.tilt_sd_rad
-        sd[state.ATT + 2] = found.yaw_sd_rad
-        sd[state.GYRO_BIAS : state.GYRO_BIAS + 3] = found.gyro_bias_sd_radps
-        sd[state.ACCEL_BIAS : state.ACCEL_BIAS + 3] = t.accel_bias_sd_mps2
-        sd[state.SPEED_SCALE] = t.speed_scale_sd
-        sd[state.MOUNT_PITCH] = sd[state.MOUNT_YAW] = self.mount_angle_sd_rad
-        sd[state.GNSS_DELAY] = t.gnss_delay_given_sd_s if self.config.gnss_time_offset_s else t.gnss_delay_sd_s
-        sd[state.BARO_BIAS] = t.baro_bias_sd_m
-        sd[state.GYRO_SCALE] = t.gyro_scale_sd
-        x[state.X_WHITE_SHARE] = t.gnss_white_share
-        x[state.X_WHITE_FIXES] = WHITE_SHARE_FIXES
-        # The position is a fix: what of that fix is slow error is the position's as well, with its sign turned.
-        slow = max(0.0, 1.0 - t.gnss_white_share - t.gnss_share_margin)
-        x[state.X_SLOW_VAR : state.X_SLOW_VAR + 2] = slow * np.square(found.position_sd_m)
-        errors = slice(state.GNSS_ERROR, state.GNSS_ERROR + 3)
-        sd[errors] = np.sqrt(slow) * sd[state.POS : state.POS + 3]
-        p = np.diag(sd * sd)
-        places = np.arange(3)
-        p[state.POS + places, state.GNSS_ERROR + places] = -(sd[errors] ** 2)
-        p[state.GNSS_ERROR + places, state.POS + places] = -(sd[errors] ** 2)
-        x[state.X_BG : state.X_BG + 3] = found.gyro_bias_radps
-        if kept is None:
-            x[state.X_BA : state.X_BA + 3] = 0.0
-            x[state.X_SCALE] = x[state.X_MOUNT_PITCH] = x[state.X_MOUNT_YAW] = 0.0
-        else:
-            for group in KEPT_STATES:
-                p[group, group] = kept[group, group]
-            before = np.diag(kept)[state.GYRO_BIAS : state.GYRO_BIAS + 3]
-            if before.max() < found.gyro_bias_sd_radps**2:
-                x[state.X_BG : state.X_BG + 3] = bias_before
-                for i in range(3):
-                    p[state.GYRO_BIAS + i, state.GYRO_BIAS + i] = before[i]
-        renew_mounting(x)
+        given_offset = self.config.gnss_time_offset_s != 0.0
+        p = begin(self.x, self.ti, found, kept, self.config.tuning, self.mount_angle_sd_rad, given_offset)
         self.p[:] = p.reshape(-1)
         self._aligned[0] = True
         self._aligner.forget()
-        self._recent.begin(x, self.ti, self.p)
+        self._recent.begin(self.x, self.ti, self.p)
         if self.recorder is not None:
             self.recorder.starts_ns.append(found.t_ns)
 
@@ -508,19 +456,6 @@ _ARRAYS: Final = (
     "_own_counts",
 )
 
-WHITE_SHARE_FIXES: Final = 10.0
-"""How many fixes the share of white error assumed at the start is worth."""
-
-KEPT_STATES: Final = (
-    *range(state.ACCEL_BIAS, state.ACCEL_BIAS + 3),
-    state.SPEED_SCALE,
-    state.MOUNT_PITCH,
-    state.MOUNT_YAW,
-    state.GNSS_DELAY,
-    state.GYRO_SCALE,
-)
-"""What a gap does not change, besides the gyroscopes' biases."""
-
 
 def _table(rows: int, columns: int) -> tuple[TimeArray, FloatArray]:
     return np.empty(rows, np.int64), np.empty((rows, columns))
@@ -536,19 +471,3 @@ def _no_records() -> AidRecords:
 
 def _no_nodes() -> tuple[TimeArray, FloatArray]:
     return _table(0, NODE_WIDTH)
-
-
-def _joined_rows(parts: list[Track]) -> Track:
-    if len(parts) == 1:
-        return parts[0]
-    if not parts:
-        return _no_track()
-    return Track(np.concatenate([one.t_ns for one in parts]), np.concatenate([one.values for one in parts]))
-
-
-def _joined_records(parts: list[AidRecords]) -> AidRecords:
-    if len(parts) == 1:
-        return parts[0]
-    if not parts:
-        return _no_records()
-    return AidRecords(np.concatenate([one.t_ns for one in parts]), np.concatenate([one.values for one in parts]))

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from core.measurements import FloatArray, TimeArray
 from core.navigation.nodes import NODE_WIDTH
 from core.navigation.records import RECORD_COLUMNS, AidRecords
-from core.navigation.track import TRACK_COLUMNS, Track
-
-Table = list[tuple[TimeArray, FloatArray]]
+from core.navigation.track import TRACK_COLUMNS, Table, Track, joined_tables
 
 
 @dataclass(slots=True, eq=False)
@@ -21,9 +17,9 @@ class Recorder:
     ``track`` then holds the rows as they were in the end, not as they were told.
     """
 
-    nodes: Table = field(default_factory=list)
-    rows: Table = field(default_factory=list)
-    records: Table = field(default_factory=list)
+    nodes: list[Table] = field(default_factory=list)
+    rows: list[Table] = field(default_factory=list)
+    records: list[Table] = field(default_factory=list)
     starts_ns: list[int] = field(default_factory=list)
     """When the filter aligned: nothing after flows back to before."""
 
@@ -46,18 +42,12 @@ class Recorder:
 
     def track(self) -> Track:
         """Rows of the whole drive."""
-        return Track(*_joined(self.rows, len(TRACK_COLUMNS)))
+        return Track(*joined_tables(self.rows, len(TRACK_COLUMNS)))
 
     def aid_records(self) -> AidRecords:
         """Records of the whole drive."""
-        return AidRecords(*_joined(self.records, len(RECORD_COLUMNS)))
+        return AidRecords(*joined_tables(self.records, len(RECORD_COLUMNS)))
 
     def node_table(self) -> tuple[TimeArray, FloatArray]:
         """Nodes of the whole drive, (k,) and (k, NODE_WIDTH)."""
-        return _joined(self.nodes, NODE_WIDTH)
-
-
-def _joined(table: Table, width: int) -> tuple[TimeArray, FloatArray]:
-    if not table:
-        return np.empty(0, np.int64), np.empty((0, width))
-    return np.concatenate([t for t, _ in table]), np.concatenate([values for _, values in table])
+        return joined_tables(self.nodes, NODE_WIDTH)

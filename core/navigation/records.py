@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.measurements import FloatArray, TimeArray
+from core.navigation.track import joined_tables
 
 RECORD_COLUMNS: Final = ("aid", "axis", "innovation", "variance", "ratio", "outcome")
 """``aid`` and ``outcome`` are indices of ``state.AIDS`` and ``state.OUTCOMES``; ``axis`` counts the components of an
@@ -34,3 +36,8 @@ class AidRecords:
         """Those of one aid and axis."""
         kept: npt.NDArray[np.bool_] = (self.column("aid") == aid) & (self.column("axis") == axis)
         return AidRecords(self.t_ns[kept], self.values[kept])
+
+    @classmethod
+    def joined(cls, parts: Sequence[AidRecords]) -> AidRecords:
+        """All records of some, one after the other."""
+        return cls(*joined_tables([(one.t_ns, one.values) for one in parts], len(RECORD_COLUMNS)))

@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
+import numpy as np
+
 from core.measurements import FloatArray, TimeArray
+
+Table = tuple[TimeArray, FloatArray]
+"""Times (n,) and a row of figures for each, (n, columns)."""
+
+
+def joined_tables(parts: Sequence[Table], columns: int) -> Table:
+    """All rows of some tables, one after the other."""
+    if not parts:
+        return np.empty(0, np.int64), np.empty((0, columns))
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate([t_ns for t_ns, _ in parts]), np.concatenate([rows for _, rows in parts])
+
 
 TRACK_COLUMNS: Final = (
     "lat_rad",
@@ -50,3 +66,8 @@ class Track:
     def column(self, name: str) -> FloatArray:
         """One column by its name in ``TRACK_COLUMNS``, (n,)."""
         return self.values[:, TRACK[name]]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Track]) -> Track:
+        """All rows of some tracks, one after the other."""
+        return cls(*joined_tables([(one.t_ns, one.values) for one in parts], len(TRACK_COLUMNS)))

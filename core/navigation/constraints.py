@@ -25,7 +25,6 @@ from core.navigation.state import (
     MOUNT_YAW,
     N_BLOCKS,
     N_STATES,
-    POS,
     REJECTED_GATE,
     REJECTED_RANGE,
     SPEED_SCALE,
@@ -58,13 +57,15 @@ ROBUST_LIMIT = 25.0
 """A constraint or wheel speed this far beyond its gate (five times the innovation) is refused: a skid."""
 
 _Vector = tuple[float, float, float]
+_STATES = (VEL, VEL + 1, VEL + 2, ATT, ATT + 1, ATT + 2, MOUNT_PITCH, MOUNT_YAW, SPEED_SCALE)
+"""What a speed along an axis of the vehicle depends on."""
 
 
 @compiled()
 def _row_along(
     c: Nine, v_n: _Vector, v_b: _Vector, u: _Vector, du_pitch: _Vector, du_yaw: _Vector, gain: float, ninth: float
 ) -> tuple[float, Nine]:
-    """The speed along an axis ``u`` of b, and the row of gain times it by VEL, ATT, the mounting, and a ninth.
+    """The speed along an axis ``u`` of b, and the row of gain times it by ``_STATES``, the last factor as given.
 
     d(u . C' v) = (C u) . dv + ((C u) x v) . phi + (du . v_b): from C(true) = (I + [phi x]) C.
     """
@@ -122,9 +123,8 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     squat = par[_P_SQUAT] * forward_mps2 * v_b[0]
     base = par[_P_NHC] * par[_P_NHC]
 
-    at = (VEL, VEL + 1, VEL + 2, ATT, ATT + 1, ATT + 2, MOUNT_PITCH, MOUNT_YAW, POS)
     lateral, row = _row_along(c, v_n, v_b, (-sy, cy, 0.0), (0.0, 0.0, 0.0), (-cy, -sy, 0.0), 1.0, 0.0)
-    s1 = project_nine(p, n, at, row, ph) + base + slip * slip
+    s1 = project_nine(p, n, _STATES, row, ph) + base + slip * slip
     nu1 = -lateral
     ratio1 = nu1 * nu1 / (par[_P_GATE] * s1)
     inverse1 = 0.0 if ratio1 > ROBUST_LIMIT else 1.0 / (s1 * max(ratio1, 1.0))
@@ -132,8 +132,8 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     vertical, row = _row_along(
         c, v_n, v_b, (cy * sp, sy * sp, cp), (cy * cp, sy * cp, -sp), (-sy * sp, cy * sp, 0.0), 1.0, 0.0
     )
-    s2 = project_nine(p, n, at, row, ph2) + base + heave * heave + squat * squat
-    cross = along_nine(at, row, ph)
+    s2 = project_nine(p, n, _STATES, row, ph2) + base + heave * heave + squat * squat
+    cross = along_nine(_STATES, row, ph)
     decorrelate(n, ph, ph2, cross * inverse1)
     s2 -= cross * cross * inverse1
     nu2 = -vertical - cross * inverse1 * nu1
@@ -180,8 +180,7 @@ def fuse_speed(
     )
     if _reverses(p, row, gain * forward, reading_mps, variance, par[_P_REVERSE_ODDS]):
         reading_mps = -reading_mps
-    at = (VEL, VEL + 1, VEL + 2, ATT, ATT + 1, ATT + 2, MOUNT_PITCH, MOUNT_YAW, SPEED_SCALE)
-    s = project_nine(p, n, at, row, ph) + variance
+    s = project_nine(p, n, _STATES, row, ph) + variance
     nu = reading_mps - gain * forward
     ratio = nu * nu / (par[_P_GATE] * s)
     outcome = REJECTED_GATE if ratio > ROBUST_LIMIT else FUSED

@@ -45,15 +45,15 @@ _STILL_SPEED = PARAMETER["still_max_speed_mps"]
 
 
 @compiled()
-def _variance(x: FloatArray, i: int) -> float:
-    """Variance of one axis over the ring's block means."""
+def _moments(x: FloatArray, i: int) -> tuple[float, float]:
+    """Mean and variance of one axis over the ring's block means."""
     total, squares = 0.0, 0.0
     first = x[X_RING + i]
     for j in range(N_BLOCKS):
         d = x[X_RING + 6 * j + i] - first
         total += d
         squares += d * d
-    return max(squares / N_BLOCKS - (total / N_BLOCKS) ** 2, 0.0)
+    return first + total / N_BLOCKS, max(squares / N_BLOCKS - (total / N_BLOCKS) ** 2, 0.0)
 
 
 @compiled()
@@ -83,29 +83,16 @@ def _quiet(x: FloatArray, p: FloatArray, par: FloatArray, speed_sd: float) -> tu
     limit = par[_STILL_SPEED] + 3.0 * speed_sd
     if x[X_V] ** 2 + x[X_V + 1] ** 2 > limit * limit:
         return False, 0.0, 0.0
-    spread_f, spread_w = 0.0, 0.0
-    mean_0, mean_1, mean_2, turning_sq, rate_var = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(6):
-        total, squares = 0.0, 0.0
-        first = x[X_RING + i]
-        for j in range(N_BLOCKS):
-            d = x[X_RING + 6 * j + i] - first
-            total += d
-            squares += d * d
-        variance = squares / N_BLOCKS - (total / N_BLOCKS) ** 2
-        if i == 0:
-            mean_0 = first + total / N_BLOCKS
-        elif i == 1:
-            mean_1 = first + total / N_BLOCKS
-        elif i == 2:
-            mean_2 = first + total / N_BLOCKS
-        if i < 3:
-            spread_f += variance
-        else:
-            spread_w += variance
-            turning_sq += (first + total / N_BLOCKS - x[X_BG + i - 3]) ** 2
-            i0 = (GYRO_BIAS + i - 3) * N_STATES + GYRO_BIAS + i - 3
-            rate_var = max(rate_var, p[i0])
+    mean_0, variance_0 = _moments(x, 0)
+    mean_1, variance_1 = _moments(x, 1)
+    mean_2, variance_2 = _moments(x, 2)
+    spread_f = variance_0 + variance_1 + variance_2
+    spread_w, turning_sq, rate_var = 0.0, 0.0, 0.0
+    for i in range(3):
+        mean, variance = _moments(x, 3 + i)
+        spread_w += variance
+        turning_sq += (mean - x[X_BG + i]) ** 2
+        rate_var = max(rate_var, p[(GYRO_BIAS + i) * (N_STATES + 1)])
     # A bend driven evenly is as quiet as standing, but for its rate.
     limit = par[_STILL_RATE] + 3.0 * math.sqrt(rate_var)
     if turning_sq > limit * limit:
@@ -120,10 +107,10 @@ def _quiet(x: FloatArray, p: FloatArray, par: FloatArray, speed_sd: float) -> tu
         if spread_f > factor * x[X_STILL_F] or spread_w > factor * x[X_STILL_W]:
             return False, 0.0, 0.0
     # Pulling away evenly is smooth too: what gravity and bias leave must be nothing.
-    mean = (mean_0 - x[X_BA], mean_1 - x[X_BA + 1], mean_2 - x[X_BA + 2])
+    left_0, left_1, left_2 = mean_0 - x[X_BA], mean_1 - x[X_BA + 1], mean_2 - x[X_BA + 2]
     c0, c1, c2, c3, c4, c5, _, _, _ = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
-    an = c0 * mean[0] + c1 * mean[1] + c2 * mean[2]
-    ae = c3 * mean[0] + c4 * mean[1] + c5 * mean[2]
+    an = c0 * left_0 + c1 * left_1 + c2 * left_2
+    ae = c3 * left_0 + c4 * left_1 + c5 * left_2
     i0 = ATT * N_STATES + ATT
     tilt = math.sqrt(max(p[i0], p[i0 + N_STATES + 1]))
     limit = par[_STILL_MEAN] + 3.0 * STANDARD_GRAVITY_MPS2 * tilt
@@ -154,7 +141,7 @@ def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) ->
     ti[I_STATIONARY] = 0
     if ti[I_BLOCKS] < N_BLOCKS:
         return
-    x[X_HEAVE] = math.sqrt(_variance(x, 2))
+    x[X_HEAVE] = math.sqrt(_moments(x, 2)[1])
     speed_sd = _speed_sd(p)
     quiet, spread_f, spread_w = _quiet(x, p, par, speed_sd)
     if not quiet:

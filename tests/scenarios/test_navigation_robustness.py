@@ -32,6 +32,7 @@ SHORT = {
 def known(what, case, where):
     """Parameters of a test, marked where it is known to fall short."""
     reason = SHORT.get((what, case, where))
+    # Open work, told in the README too; strict, so that no mark outlives its cause.
     marks = () if reason is None else (pytest.mark.xfail(reason=reason, strict=True),)
     return pytest.param(case, where, marks=marks, id=f"{case}-{where}")
 

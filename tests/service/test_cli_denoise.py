@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from core.simulation.scenarios import simulate
-from service.cli import main
 from service.recordings.denoising import denoise
 from service.recordings.drive_folder import read_drive, write_drive
 from service.recordings.simulated import drive_of
+from tests.commands import call
 
 AXES = ["ax", "ay", "az", "gx", "gy", "gz"]
 COLUMNS = ["ax_mps2", "ay_mps2", "az_mps2", "gx_radps", "gy_radps", "gz_radps"]
@@ -30,12 +30,6 @@ def folders(tmp_path_factory):
     write_drive(root / "slow", replace(shaken, measurements=slow))
     write_drive(root / "one", replace(shaken, measurements=one))
     return root
-
-
-def call(capsys, *words):
-    status = main([str(word) for word in words])
-    said = capsys.readouterr()
-    return status, said.out, said.err
 
 
 def test_figures_tell_the_denoising_and_stand_beside_those_without(folders, capsys):

@@ -18,6 +18,7 @@ from schemas.vehicles import SensorNoise
 from service.cli import main
 from service.recordings.drive_folder import read_drive, write_drive
 from service.recordings.simulated import drive_of
+from tests.commands import call, figures
 
 FIGURES = {
     "epochs",
@@ -56,22 +57,6 @@ def folders(tmp_path_factory):
     for name, drive in drives.items():
         write_drive(root / name, drive)
     return root
-
-
-def call(capsys, *words):
-    """Exit status, stdout and stderr of one command."""
-    try:
-        status = main([str(word) for word in words])
-    except SystemExit as end:
-        status = int(end.code or 0)
-    said = capsys.readouterr()
-    return status, said.out, said.err
-
-
-def figures(capsys, *words):
-    status, out, err = call(capsys, "fuse", *words, "--json")
-    assert (status, err) == (0, "")
-    return json.loads(out)
 
 
 def test_figures_have_the_keys_of_the_contract(folders, capsys):

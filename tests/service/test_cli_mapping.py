@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 from core.measurements import GNSS
 from core.simulation.scenarios import simulate
 from core.simulation.sensors import gauss_markov
-from service.cli import main
 from service.recordings.drive_folder import AttitudeSeries, write_drive
 from service.recordings.simulated import drive_of
+from tests.commands import call, figures
 
 POSE_COLUMNS = [
     "t_s",
@@ -53,22 +53,6 @@ def folders(tmp_path_factory):
     few[:, GNSS["satellites"]] = 3.0
     write_drive(root / "three_satellites", replace(city, attitude=attitude, measurements=replace(m, gnss=few)))
     return root
-
-
-def call(capsys, *words):
-    """Exit status, stdout and stderr of one command."""
-    try:
-        status = main([str(word) for word in words])
-    except SystemExit as end:
-        status = int(end.code or 0)
-    said = capsys.readouterr()
-    return status, said.out, said.err
-
-
-def figures(capsys, *words):
-    status, out, err = call(capsys, "fuse", *words, "--json")
-    assert (status, err) == (0, "")
-    return json.loads(out)
 
 
 def rows_of(path):

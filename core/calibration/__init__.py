@@ -1,0 +1,1 @@
+"""Calibration of inertial triads and magnetometers from recordings, and their noise from long ones at rest."""

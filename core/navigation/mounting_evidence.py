@@ -216,7 +216,7 @@ def carried_force(t_ns: TimeArray, imu: FloatArray, knots_ns: TimeArray) -> tupl
     if len(t_ns) < 2:
         return total, area, np.inf
     hole = max((t_ns[0] - first) * 1e-9, (last - t_ns[-1]) * 1e-9)
-    c, at_middle = np.eye(3), np.eye(3)
+    c, at_middle, f = np.eye(3), np.eye(3), np.empty(3)
     passed = False
     for k in range(1, len(t_ns)):
         low, high = max(t_ns[k - 1], first), min(t_ns[k], last)
@@ -231,16 +231,25 @@ def carried_force(t_ns: TimeArray, imu: FloatArray, knots_ns: TimeArray) -> tupl
         ax = 0.5 * (imu[k - 1, 3] + imu[k, 3]) * dt
         ay = 0.5 * (imu[k - 1, 4] + imu[k, 4]) * dt
         az = 0.5 * (imu[k - 1, 5] + imu[k, 5]) * dt
-        # To second order over the step, and the force turned by its half.
-        s = np.array([[0.0, -az, ay], [az, 0.0, -ax], [-ay, ax, 0.0]])
         weight = dt
         if rise > 0.0:
             weight *= (centre - first) * 1e-9 / rise if centre < middle else (last - centre) * 1e-9 / fall
-        force = 0.5 * (imu[k - 1, :3] + imu[k, :3])
-        half = force + 0.5 * (s @ force)
-        total += weight * (c @ half)
+        fx = 0.5 * (imu[k - 1, 0] + imu[k, 0])
+        fy = 0.5 * (imu[k - 1, 1] + imu[k, 1])
+        fz = 0.5 * (imu[k - 1, 2] + imu[k, 2])
+        # The force turned by half the step: f + a x f / 2. Arrays are made once: this runs over every sample.
+        f[0] = fx + 0.5 * (ay * fz - az * fy)
+        f[1] = fy + 0.5 * (az * fx - ax * fz)
+        f[2] = fz + 0.5 * (ax * fy - ay * fx)
         area += weight
-        c = c + c @ s + 0.5 * (c @ s @ s)
+        for i in range(3):
+            x, y, z = c[i, 0], c[i, 1], c[i, 2]
+            total[i] += weight * (x * f[0] + y * f[1] + z * f[2])
+            # c (1 + S + S S / 2) with S = [a x]: a row times S is its cross product with a.
+            u, v, w = y * az - z * ay, z * ax - x * az, x * ay - y * ax
+            c[i, 0] = x + u + 0.5 * (v * az - w * ay)
+            c[i, 1] = y + v + 0.5 * (w * ax - u * az)
+            c[i, 2] = z + w + 0.5 * (u * ay - v * ax)
     if area <= 0.0:
         return total, area, np.inf
     return at_middle.T @ total / area, area, hole

@@ -48,6 +48,7 @@ _P_NHC_LEVER = PARAMETER["nhc_lever_m"]
 _P_NHC_SPEED = PARAMETER["nhc_min_speed_mps"]
 _P_HEAVE = PARAMETER["heave_radps"]
 _P_SQUAT = PARAMETER["squat_rad_per_mps2"]
+_P_SQUAT_SD = PARAMETER["squat_sd_rad_per_mps2"]
 _P_SPEED = PARAMETER["speed_sd_mps"]
 _P_REVERSE_ODDS = PARAMETER["reverse_log_odds"]
 _P_ZUPT = PARAMETER["zupt_sd_mps"]
@@ -101,8 +102,8 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     """A car goes where its wheels point: no lateral and no vertical speed in the vehicle's own axes.
 
     Sideways the box moves with the yaw rate times its distance from the rear axle, which is not known. Upwards the
-    body moves on its springs, the more the harder it is shaken, and it squats and dives while the road stays. All of
-    these widen the spread.
+    body moves on its springs, the more the harder it is shaken. Both widen the spread. It squats and dives while the
+    road stays, for as long as it accelerates or brakes: that is reckoned with, or it would be taken for slope.
     """
     n, dx, ph, ph2 = work[0], work[1], work[2], work[3]
     t_ns = ti[T_NOW]
@@ -121,6 +122,7 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     slip = par[_P_NHC_LEVER] * yaw_rate
     heave = x[X_HEAVE] / par[_P_HEAVE]
     squat = par[_P_SQUAT] * forward_mps2 * v_b[0]
+    squat_sd = par[_P_SQUAT_SD] * forward_mps2 * v_b[0]
     base = par[_P_NHC] * par[_P_NHC]
 
     lateral, row = _row_along(c, v_n, v_b, (-sy, cy, 0.0), (0.0, 0.0, 0.0), (-cy, -sy, 0.0), 1.0, 0.0)
@@ -132,11 +134,11 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     vertical, row = _row_along(
         c, v_n, v_b, (cy * sp, sy * sp, cp), (cy * cp, sy * cp, -sp), (-sy * sp, cy * sp, 0.0), 1.0, 0.0
     )
-    s2 = project_nine(p, n, _STATES, row, ph2) + base + heave * heave + squat * squat
+    s2 = project_nine(p, n, _STATES, row, ph2) + base + heave * heave + squat_sd * squat_sd
     cross = along_nine(_STATES, row, ph)
     decorrelate(n, ph, ph2, cross * inverse1)
     s2 -= cross * cross * inverse1
-    nu2 = -vertical - cross * inverse1 * nu1
+    nu2 = squat - vertical - cross * inverse1 * nu1
     ratio2 = nu2 * nu2 / (par[_P_GATE] * s2)
     inverse2 = 0.0 if ratio2 > ROBUST_LIMIT else 1.0 / (s2 * max(ratio2, 1.0))
 

@@ -40,6 +40,8 @@ _STILL_FACTOR = PARAMETER["still_factor"]
 _STILL_MEAN = PARAMETER["still_mean_accel_mps2"]
 _STILL_RATE = PARAMETER["still_mean_gyro_radps"]
 _STILL_PATIENCE = PARAMETER["still_patience_s"]
+_STILL_ROLLING = PARAMETER["still_rolling_mps"]
+_STILL_LONGEST = PARAMETER["still_longest_patience_s"]
 _ZUPT = PARAMETER["zupt_sd_mps"]
 _STILL_SPEED = PARAMETER["still_max_speed_mps"]
 
@@ -74,6 +76,13 @@ def _moving_ratio(x: FloatArray, p: FloatArray, par: FloatArray) -> float:
 
 
 @compiled()
+def _as_when_standing(x: FloatArray, par: FloatArray, spread_f: float, spread_w: float) -> bool:
+    """Whether it is about as quiet as was learnt of this vehicle when it surely stood; not before it was learnt."""
+    factor = par[_STILL_FACTOR]
+    return bool(spread_f <= factor * x[X_STILL_F] and spread_w <= factor * x[X_STILL_W])
+
+
+@compiled()
 def _quiet(x: FloatArray, p: FloatArray, par: FloatArray, speed_sd: float) -> tuple[bool, float, float]:
     """Whether over one second the 0.1 s means hardly move (they hide the engine's shaking, not the road's).
 
@@ -102,10 +111,8 @@ def _quiet(x: FloatArray, p: FloatArray, par: FloatArray, speed_sd: float) -> tu
     spread_f, spread_w = math.sqrt(spread_f), math.sqrt(spread_w)
     # Where the filter's own speed is no witness, it has to be as quiet as this vehicle is when it stands.
     uncertain = speed_sd > par[_STILL_SPEED]
-    if uncertain and x[X_STILL_F] > 0.0:
-        factor = par[_STILL_FACTOR]
-        if spread_f > factor * x[X_STILL_F] or spread_w > factor * x[X_STILL_W]:
-            return False, 0.0, 0.0
+    if uncertain and x[X_STILL_F] > 0.0 and not _as_when_standing(x, par, spread_f, spread_w):
+        return False, 0.0, 0.0
     # Pulling away evenly is smooth too: what gravity and bias leave must be nothing.
     left_0, left_1, left_2 = mean_0 - x[X_BA], mean_1 - x[X_BA + 1], mean_2 - x[X_BA + 2]
     c0, c1, c2, c3, c4, c5, _, _, _ = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
@@ -150,6 +157,10 @@ def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) ->
     if ti[T_QUIET] == 0:
         ti[T_QUIET] = ti[T_NOW]
     patience_s = par[_STILL_PATIENCE] * _moving_ratio(x, p, par)
+    # As quiet as this vehicle is when it stands, and supposed to move faster than any creep: then the filter is wrong.
+    rolling_sq = x[X_V] ** 2 + x[X_V + 1] ** 2
+    if rolling_sq > par[_STILL_ROLLING] ** 2 and _as_when_standing(x, par, spread_f, spread_w):
+        patience_s = min(patience_s, par[_STILL_LONGEST])
     if (ti[T_NOW] - ti[T_QUIET]) * 1e-9 < patience_s:
         return
     ti[I_STATIONARY] = 1

@@ -129,7 +129,10 @@ class Tuning(Tunables):
         8.0, unit="rad/s", low=1, high=50, source="body on its springs at 1.3 Hz: speed is acceleration over this"
     )
     squat_rad_per_mps2: float = tunable(
-        0.004, unit="rad s2/m", low=0, high=0.05, source="a car pitches by 2 to 3 deg a g of braking"
+        0.004, unit="rad s2/m", low=0, high=0.05, source="measured: 2.4, 3.0 and 1.4 deg/g on kth, boston and comma2k19"
+    )
+    squat_sd_rad_per_mps2: float = tunable(
+        0.002, unit="rad s2/m", low=0, high=0.05, source="spread of squat_rad_per_mps2 over those cars, and its delay"
     )
     nhc_min_speed_mps: float = tunable(1.0, unit="m/s", low=0, high=10, source=_CHOICE)
     constraint_interval_s: float = tunable(0.2, unit="s", low=0.05, high=5, source="5 Hz, as the design measured")
@@ -194,6 +197,12 @@ class Tuning(Tunables):
         low=0,
         high=60,
         source="choice: a creep at 0.5 m/s lasts 2-3 s; quiet needed a unit of squared speed over its variance",
+    )
+    still_rolling_mps: float = tunable(
+        1.0, unit="m/s", low=0, high=30, source="choice: a creep is slower, and what rolls faster is not so quiet"
+    )
+    still_longest_patience_s: float = tunable(
+        4.0, unit="s", low=0, high=1e4, source="choice: traffic lights last longer; 2 s do alike in simulated outages"
     )
     still_max_speed_mps: float = tunable(
         0.5, unit="m/s", low=0.1, high=10, source="a smooth road at speed is no standstill"

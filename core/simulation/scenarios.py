@@ -138,6 +138,7 @@ def simulate(
     seed: int = 1,
     duration_s: float | None = None,
     rate_hz: float = 200.0,
+    draw: int = 0,
 ) -> SimulatedDrive:
     """Simulate a named drive; the same arguments give the same bits.
 
@@ -151,6 +152,8 @@ def simulate(
         Length, s; the scenario's own if not given.
     rate_hz : float
         Rate of the inertial samples, 10 to 1000 Hz.
+    draw : int
+        Which draw of the noise, from 0: another one is the same box on the same drive on another day.
 
     Raises
     ------
@@ -159,13 +162,17 @@ def simulate(
     """
     if scenario not in SCENARIOS:
         raise InvalidInputError(f"unknown scenario '{scenario}': expected one of {', '.join(SCENARIOS)}")
-    if seed < 0:
-        raise InvalidInputError(f"seed is {seed}: expected 0 or more")
+    for name, value in (("seed", seed), ("draw", draw)):
+        if value < 0:
+            raise InvalidInputError(f"{name} is {value}: expected 0 or more")
     chosen = SCENARIOS[scenario]
     length_s = chosen.duration_s if duration_s is None else duration_s
     if not SHORTEST_S <= length_s <= LONGEST_S:
         raise InvalidInputError(f"a drive of {length_s:g} s: expected {SHORTEST_S:g} s to {LONGEST_S / 3600:g} h")
-    route_rng, unit_rng, inertial_rng, slow_rng, air_rng = np.random.default_rng(seed).spawn(5)
+    route_rng, unit_rng, *noise_rngs = np.random.default_rng(seed).spawn(5)
+    if draw > 0:
+        noise_rngs = np.random.default_rng([seed, draw]).spawn(3)
+    inertial_rng, slow_rng, air_rng = noise_rngs
     route = chosen.route(route_rng, length_s)
     errors = draw_errors(chosen.device, unit_rng)
     trajectory = drive(route, MADRID, rate_hz, chosen.suspension)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from core.earth import radii_m
+from core.earth import STANDARD_GRAVITY_MPS2, radii_m
 from core.measurements import GNSS, GNSS_COLUMNS
 from core.navigation import kernel, state
 from core.navigation.constraints import fuse_non_holonomic, fuse_speed, fuse_standstill
@@ -40,6 +40,8 @@ EXACT = replace(
     gnss_sd_v_floor_mps=1e-3,
     nhc_sd_mps=0.01,
     nhc_lever_m=0.0,
+    squat_rad_per_mps2=0.0,
+    squat_sd_rad_per_mps2=0.0,
     speed_sd_mps=0.01,
     zupt_sd_mps=1e-3,
     zaru_sd_radps=1e-6,
@@ -393,6 +395,18 @@ def test_a_refused_height_lets_its_own_spread_grow_until_it_is_believed():
             break
     assert 1 <= case.counts[state.A_HEIGHT, state.REJECTED_GATE] <= 10
     assert abs(case.left(POS + 2)) < 3.0
+
+
+def test_squatting_under_acceleration_is_no_slope():
+    squat_rad_per_mps2, speed_mps = 0.004, 15.0
+    force_mps2 = float(FORCE_B[0] + STANDARD_GRAVITY_MPS2 * matrix_from_rpy(*RPY)[2, 0])
+    rising_mps = squat_rad_per_mps2 * force_mps2 * speed_mps
+    assert abs(rising_mps) > 0.1
+    tuning = replace(EXACT, squat_rad_per_mps2=squat_rad_per_mps2)
+    case = Case.of(ATT + 1, 0.0, 0.1, v_vehicle=(speed_mps, 0.0, rising_mps), tuning=tuning)
+    case.going_straight()
+    # Of the 7 mrad that the speed along the body's down axis would else be taken for: its own change with the attitude.
+    assert abs(case.left(ATT + 1)) < 0.02 * abs(rising_mps) / speed_mps
 
 
 def test_a_skid_is_refused_and_slow_driving_is_not_constrained():

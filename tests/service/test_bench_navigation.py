@@ -37,7 +37,7 @@ def synthetic():
 
 @pytest.fixture(scope="module")
 def calibration():
-    return calibration_gain.measure(untold, **ONE)
+    return calibration_gain.measure(untold, **ONE, draws=2)
 
 
 def test_an_exact_drive_is_measured_by_every_aiding(synthetic):
@@ -126,6 +126,14 @@ def test_an_outage_without_a_position_counts_as_the_worst():
 
     assert recorded_outages.median_end_m(ends(3.0, 1.0, None)) == 3.0
     assert recorded_outages.median_end_m(ends(3.0, None, None)) is None
+
+
+def test_an_outage_is_told_over_the_draws_of_its_noise():
+    each = [calibration_gain.measure(untold, **ONE, draws=n)["outages"][0]["calibrated"] for n in (1, 2)]
+    second = 2 * each[1]["rms_m"] ** 2 - each[0]["rms_m"] ** 2
+    assert second > 0
+    assert second != pytest.approx(each[0]["rms_m"] ** 2)  # other noise, other error
+    assert each[1]["max_m"] >= each[0]["max_m"]
 
 
 def test_targets_are_judged_by_what_was_measured(synthetic, calibration):

@@ -65,7 +65,7 @@ def _consistency(found: Mapping[str, Any]) -> Iterable[str]:
 
 
 def _calibration(found: Mapping[str, Any]) -> Iterable[str]:
-    yield f"calibration: {found['scenario']}, {found['drives']} drives; RMS over a box's drives, and largest error, in m:"
+    yield f"calibration: {found['scenario']}, {found['drives']} drives; RMS over a box's, and largest error, in m:"
     names = list(found["solutions"])
     rows = [("seed", "outage", *names)]
     for one in found["outages"]:

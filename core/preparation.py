@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from core.box_clock import LATEST_NS
 from core.measurements import FloatArray, Measurements, TimeArray
 from core.navigation.admission import usable_fixes
 from core.navigation.alignment import Start
@@ -31,8 +32,6 @@ MAX_FORCE_MPS2: Final = 10_000.0
 """Beyond the end of high-g crash sensors, 2000 to 4000 m/s2."""
 MAX_RATE_RADPS: Final = 100.0
 """Beyond the end of MEMS gyroscopes, 70 rad/s."""
-LATEST_NS: Final = 1 << 62
-"""The year 2116: a later time is damage, and could not be reckoned on from."""
 
 
 @dataclass(frozen=True, slots=True)

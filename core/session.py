@@ -14,6 +14,7 @@ from core.accident.detector import ImpactDetector
 from core.accident.events import Impact, VehicleMotion
 from core.accident.paper_rule import PaperRule
 from core.accident.thresholds import DetectorThresholds
+from core.box_clock import ANEW, LET_GO, STEPPED, BoxClock
 from core.driving.trips import Trip, TripThresholds, TripTracker
 from core.earth import STANDARD_GRAVITY_MPS2, radii_m
 from core.measurements import Measurements
@@ -37,6 +38,8 @@ KNOWN_MOUNTING_SD_RAD: Final = 0.01
 """Spread of a mounting that was measured: half a degree, by hand."""
 AXES_SD_RAD: Final = 0.014
 """How far the axes of a box are from square, and from those it is judged by: soldering and die, 0.8 deg; a choice."""
+
+_CLOCK_COUNTS: Final = {STEPPED: "clock.stepped_back", LET_GO: "clock.caught_up", ANEW: "clock.begun_anew"}
 
 Arrays = dict[str, npt.NDArray[np.generic]]
 
@@ -77,7 +80,8 @@ class Outputs:
     """What one step brought: track rows every 100 ms, accidents, trips begun or changed, and counts.
 
     ``counts`` names what the step met, such as ``gnss_position.fused``, ``gnss_position.rejected_gate``,
-    ``imu.rejected_time``, ``imu.reset``, ``mounting.found``, ``mounting.contradicted``; only non-zero ones.
+    ``imu.rejected_time``, ``imu.reset``, ``mounting.found``, ``mounting.contradicted``, ``clock.stepped_back``; only
+    non-zero ones.
     """
 
     track: Track
@@ -121,6 +125,11 @@ class Session:
 
     def __init__(self, config: SessionConfig) -> None:
         self.config = config
+        self._clock = BoxClock()
+        self._begin()
+
+    def _begin(self) -> None:
+        config = self.config
         filter_config = config.filter
         if config.mounting.known and filter_config.mount_angle_sd_rad is None:
             filter_config = replace(filter_config, mount_angle_sd_rad=KNOWN_MOUNTING_SD_RAD)
@@ -143,6 +152,13 @@ class Session:
     def step(self, measurements: Measurements) -> Outputs:
         """Take the next measurements. Never raises for what they hold."""
         counts: dict[str, int] = {}
+        measurements, happened = self._clock.step(measurements)
+        ended: list[Trip] = []
+        if happened:
+            counts[_CLOCK_COUNTS[happened]] = 1
+        if happened == ANEW:
+            ended = self._trips.end()
+            self._begin()
         before = self._filter.counts
         samples = self._preparation.step(measurements, self._filter.t_ns, counts)
         aids = self._aids(measurements)
@@ -167,7 +183,7 @@ class Session:
         rows = Track.joined([self._recent, track])
         accidents = tuple(_place(impact, _told_until(rows, impact.decided_t_ns)) for impact in impacts)
         self._recent = _newest(rows, RECENT_S)
-        trips = tuple(self._trips.step(track, measurements.ignition))
+        trips = (*ended, *self._trips.step(track, measurements.ignition))
         self._add_counts(self._filter.counts - before, counts)
         return Outputs(track, accidents, trips, counts)
 
@@ -189,6 +205,11 @@ class Session:
             if finder.found:
                 self._filter.mount_angle_sd_rad = math.hypot(*finder.found_sd_rad)
             yield part, aids_of_part
+
+    @property
+    def clock_offset_ns(self) -> int:
+        """By how much what is told now is ahead of the box's clock, since that stepped back."""
+        return self._clock.offset_ns
 
     @property
     def filter(self) -> NavigationFilter:
@@ -241,6 +262,8 @@ class Session:
         if session._detector_stage in parts:  # else the vehicle's detector was changed: it starts anew
             session._detector.load(parts[session._detector_stage])
         session._trips.load(parts["trips"])
+        if "clock" in parts:
+            session._clock.load(parts["clock"])
         if session._mounting is not None and "mounting" in parts:
             session._mounting.finder.load(parts["mounting"])
         return session
@@ -248,6 +271,7 @@ class Session:
     def _stages(self) -> list[tuple[str, Arrays]]:
         found = [] if self._mounting is None else [("mounting", self._mounting.finder.arrays())]
         return [
+            ("clock", self._clock.arrays()),
             ("filter", self._filter.arrays()),
             (self._detector_stage, self._detector.state()),
             ("trips", self._trips.state()),

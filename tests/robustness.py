@@ -112,7 +112,8 @@ def ride(subject, stream, packet_s=1.0):
     finite, asymmetry, least = True, 0.0, 1.0
     for packet in stream.packets(packet_s):
         outputs = session.step(packet.measurements)
-        t_ns.append(outputs.track.t_ns - packet.clock_ahead_ns)
+        # Told in times that go on where the box's step back.
+        t_ns.append(outputs.track.t_ns - packet.clock_ahead_ns - session.clock_offset_ns)
         rows.append(outputs.track.values)
         for name, count in outputs.counts.items():
             counts[name] = counts.get(name, 0) + count

@@ -137,6 +137,10 @@ class TripTracker:
                 return trips
             trips.append(self._trip(ended=what == _CLOSE))
 
+    def end(self) -> list[Trip]:
+        """The trip under way, ended with its last movement: no more rows follow."""
+        return [self._trip(ended=True)] if self._times[_PHASE] == _TRIP else []
+
     def state(self) -> dict[str, npt.NDArray[np.generic]]:
         """Arrays from which ``load`` goes on, to the bit."""
         return {"trips.times": self._times, "trips.values": self._values}

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
 
+from core.earth import radii_m
 from core.measurements import FloatArray, TimeArray
 from core.navigation import state
 from core.navigation.alignment import InitialState
+from core.navigation.gnss_aiding import slow_share
 from core.navigation.mechanization import normalised, renew_mounting, start_frame
 from core.navigation.tuning import Tuning
 from core.rotation import matrix_from_quaternion
 
 WHITE_SHARE_FIXES: Final = 10.0
 """How many fixes the share of white error assumed at the start is worth. A choice; 1 to some 60."""
+
+USUAL_SD: Final = 2.0
+"""Up to so many times its sd an error is nothing unusual: beyond, that sd is too small. 95 % of a normal error."""
 
 KEPT: Final = {
     **{state.ACCEL_BIAS + i: state.X_BA + i for i in range(3)},
@@ -25,6 +31,10 @@ KEPT: Final = {
     state.GYRO_SCALE: state.X_GYRO_SCALE,
 }
 """What a gap does not change, besides the gyroscopes' biases: each error state and its place in ``x``."""
+
+LEARNT_OF_FIXES: Final = slice(state.X_WHITE_SHARE, state.X_WHITE_FIXES + 1)
+PLACES: Final = np.arange(state.POS, state.POS + 3)
+ERRORS: Final = np.arange(state.GNSS_ERROR, state.GNSS_ERROR + 3)
 
 
 def begin(
@@ -57,11 +67,13 @@ def begin(
     x[state.X_BG : state.X_BG + 3] = found.gyro_bias_radps
     x[state.X_DV : state.X_DV + 3] = 0.0
     x[state.X_BLOCK : state.X_STILL_F] = 0.0
+    since_s = (found.t_ns - int(ti[state.T_DECAY])) * 1e-9
     x[state.X_GNSS_ERROR : state.NX] = 0.0
     x[list(KEPT.values())] = 0.0
     x[state.X_WHITE_SHARE], x[state.X_WHITE_FIXES] = tuning.gnss_white_share, WHITE_SHARE_FIXES
-    # The position is a fix: what of that fix is slow error is the position's as well, with its sign turned.
-    slow = max(0.0, 1.0 - tuning.gnss_white_share - tuning.gnss_share_margin)
+    if kept is not None:
+        x[LEARNT_OF_FIXES] = before[LEARNT_OF_FIXES]
+    slow = slow_share(x, tuning.as_array())
     x[state.X_SLOW_VAR : state.X_SLOW_VAR + 2] = slow * np.square(found.position_sd_m)
 
     ti[: state.I_COUNTS] = 0
@@ -71,7 +83,15 @@ def begin(
     start_frame(x, ti)
     x[state.X_C0 : state.X_C0 + 9] = matrix_from_quaternion(x[state.X_Q : state.X_Q + 4]).reshape(9)
 
-    p = _covariance(found, slow, tuning, mount_angle_sd_rad, given_offset)
+    p = _covariance(found, tuning, mount_angle_sd_rad, given_offset)
+    fix_sd_m = np.array([found.position_sd_m[0], found.position_sd_m[0], found.position_sd_m[1]])
+    slow_m2 = slow * fix_sd_m**2
+    if kept is not None:
+        slow_m2 = _carry_fix_error(x, before, kept, slow_m2, since_s / tuning.gnss_correlation_s)
+    # The position is a fix: what of that fix is slow error is the position's as well, with its sign turned.
+    p[PLACES, PLACES] = (1.0 - slow) * fix_sd_m**2 + slow_m2
+    p[ERRORS, ERRORS] = slow_m2
+    p[PLACES, ERRORS] = p[ERRORS, PLACES] = -slow_m2
     if kept is not None:
         for error_state, place in KEPT.items():
             x[place] = before[place]
@@ -85,12 +105,29 @@ def begin(
     return p
 
 
-def _covariance(
-    found: InitialState, slow: float, tuning: Tuning, mount_angle_sd_rad: float, given_offset: bool
+def _carry_fix_error(
+    x: FloatArray, before: FloatArray, kept: FloatArray, stated_m2: FloatArray, ages: float
 ) -> FloatArray:
-    """Of a state of which nothing was known before; ``slow`` is the share of a fix's variance that hangs together."""
-    sd = np.empty(state.N_STATES)
-    sd[state.POS : state.POS + 2], sd[state.POS + 2] = found.position_sd_m
+    """Move the position by what the fixes were off before and still are, ``ages`` correlation times later.
+
+    A receiver that was off by more than is usual for what it states may be so again. Returns the variance (3,) of its
+    error.
+    """
+    share = math.exp(-ages)
+    error_n_m = before[state.X_GNSS_ERROR : state.X_GNSS_ERROR + 3]
+    left_n_m = share * error_n_m
+    meridian_m, transverse_m = radii_m(float(x[state.X_LAT]))
+    x[state.X_GNSS_ERROR : state.X_GNSS_ERROR + 3] = left_n_m
+    x[state.X_LAT] -= left_n_m[0] / (meridian_m + x[state.X_ALT])
+    x[state.X_LON] -= left_n_m[1] / ((transverse_m + x[state.X_ALT]) * math.cos(x[state.X_LAT]))
+    x[state.X_ALT] += left_n_m[2]
+    lasting_m2 = np.maximum(stated_m2, (error_n_m / USUAL_SD) ** 2)
+    return np.asarray(share**2 * kept[ERRORS, ERRORS] + (1.0 - share**2) * lasting_m2)
+
+
+def _covariance(found: InitialState, tuning: Tuning, mount_angle_sd_rad: float, given_offset: bool) -> FloatArray:
+    """Of a state of which nothing was known before, without what fixes are off by."""
+    sd = np.zeros(state.N_STATES)
     sd[state.VEL : state.VEL + 3] = found.velocity_sd_mps
     sd[state.ATT : state.ATT + 2], sd[state.ATT + 2] = found.tilt_sd_rad, found.yaw_sd_rad
     sd[state.GYRO_BIAS : state.GYRO_BIAS + 3] = found.gyro_bias_sd_radps
@@ -100,8 +137,4 @@ def _covariance(
     sd[state.GNSS_DELAY] = tuning.gnss_delay_given_sd_s if given_offset else tuning.gnss_delay_sd_s
     sd[state.BARO_BIAS] = tuning.baro_bias_sd_m
     sd[state.GYRO_SCALE] = tuning.gyro_scale_sd
-    sd[state.GNSS_ERROR : state.GNSS_ERROR + 3] = np.sqrt(slow) * sd[state.POS : state.POS + 3]
-    p = np.diag(sd * sd)
-    places, errors = np.arange(state.POS, state.POS + 3), np.arange(state.GNSS_ERROR, state.GNSS_ERROR + 3)
-    p[places, errors] = p[errors, places] = -(sd[errors] ** 2)
-    return np.asarray(p)
+    return np.diag(sd * sd)

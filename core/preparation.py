@@ -15,6 +15,7 @@ import numpy.typing as npt
 from numba import njit
 
 from core.box_clock import LATEST_NS
+from core.held_axes import HeldAxes
 from core.measurements import FloatArray, Measurements, TimeArray
 from core.navigation.admission import usable_fixes
 from core.navigation.alignment import Start
@@ -44,12 +45,16 @@ class Mounting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodySamples:
-    """Calibrated inertial samples in body axes, in increasing time; ``saturated`` (n,) is 1 where clipped."""
+    """Calibrated inertial samples in body axes, in increasing time.
+
+    ``saturated`` (n,) is 1 where the accelerometer clipped, ``held`` (n,) where the gyroscope hangs.
+    """
 
     t_ns: TimeArray
     f_b: FloatArray
     omega_b: FloatArray
     saturated: FloatArray
+    held: FloatArray
 
 
 @njit(cache=True, nogil=True)
@@ -111,6 +116,7 @@ class Preparation:
         self._accel = self._map(accelerometer)
         self._gyro = self._map(gyroscope)
         self._full_scale_mps2 = accel_full_scale_mps2
+        self.held = HeldAxes()
 
     def _map(self, calibration: TriadCalibration) -> tuple[FloatArray, FloatArray]:
         offset = calibration.correct(np.zeros((1, 3)))[0]
@@ -128,7 +134,8 @@ class Preparation:
                     counts[f"imu.{outcome}"] = counts.get(f"imu.{outcome}", 0) + count
         full_scale = raw.accel_full_scale_mps2 if math.isnan(self._full_scale_mps2) else self._full_scale_mps2
         limit = math.inf if math.isnan(full_scale) else SATURATION_SHARE * full_scale
-        return BodySamples(t_ns, _affine(f_s, *self._accel), _affine(omega_s, *self._gyro), _saturated(f_s, limit))
+        f_b, omega_b = _affine(f_s, *self._accel), _affine(omega_s, *self._gyro)
+        return BodySamples(t_ns, f_b, omega_b, _saturated(f_s, limit), self.held.step(omega_s))
 
     def magnetic_b_ut(self, magnetic_s_ut: FloatArray) -> FloatArray:
         """Magnetic field (n, 3) turned into body axes."""
@@ -174,7 +181,7 @@ class FoundMounting:
             t_ns, f_m, omega_m = samples.t_ns[part], samples.f_b[part], samples.omega_b[part]
             usable = usable_fixes(now.gnss[1], self._par)
             finder.add(t_ns, f_m, omega_m, (now.gnss[0][usable] + self._offset_ns, now.gnss[1][usable]))
-            yield turn, *self._turned(BodySamples(t_ns, f_m, omega_m, samples.saturated[part]), now)
+            yield turn, *self._turned(BodySamples(t_ns, f_m, omega_m, samples.saturated[part], samples.held[part]), now)
             if last:
                 return
             begin = end
@@ -190,9 +197,7 @@ class FoundMounting:
             return samples, aids
         magnetic_t_ns, magnetic_m = aids.magnetic_b_ut
         return (
-            BodySamples(
-                samples.t_ns, self._turned_rows(samples.f_b), self._turned_rows(samples.omega_b), samples.saturated
-            ),
+            replace(samples, f_b=self._turned_rows(samples.f_b), omega_b=self._turned_rows(samples.omega_b)),
             replace(aids, magnetic_b_ut=(magnetic_t_ns, self._turned_rows(magnetic_m))),
         )
 

@@ -21,13 +21,14 @@ from core.measurements import Measurements
 from core.navigation import state
 from core.navigation.alignment import next_second_ns
 from core.navigation.filter import Aids, FilterConfig, NavigationFilter
+from core.navigation.kernel import CLIPPED, HELD
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.preparation import BodySamples, FoundMounting, Mounting, Preparation
 from core.rotation import matrix_from_rpy, rpy_from_matrix
 from core.sensors import TriadCalibration
 from core.snapshot import pack, unpack
 
-SNAPSHOT_VERSION: Final = 2
+SNAPSHOT_VERSION: Final = 3
 RECENT_S: Final = 5.0
 """Track kept to place an impact that is decided after it began."""
 CARRIED_ON_S: Final = 2.0
@@ -165,7 +166,8 @@ class Session:
         tracks: list[Track] = []
         impacts: list[Impact] = []
         for part, aids_of_part in self._in_body_axes(samples, aids, counts):
-            fused = self._filter.step(part.t_ns, part.f_b, part.omega_b, part.saturated, aids_of_part)
+            unsound = CLIPPED * part.saturated + HELD * part.held
+            fused = self._filter.step(part.t_ns, part.f_b, part.omega_b, unsound, aids_of_part)
             # A constant, so that packets do not matter: gravity differs from it by 0.03 m/s2 at most, and upwards.
             impacts += self._detector.step(
                 VehicleMotion(
@@ -262,8 +264,8 @@ class Session:
         if session._detector_stage in parts:  # else the vehicle's detector was changed: it starts anew
             session._detector.load(parts[session._detector_stage])
         session._trips.load(parts["trips"])
-        if "clock" in parts:
-            session._clock.load(parts["clock"])
+        session._clock.load(parts["clock"])
+        session._preparation.held.load(parts["held"])
         if session._mounting is not None and "mounting" in parts:
             session._mounting.finder.load(parts["mounting"])
         return session
@@ -272,6 +274,7 @@ class Session:
         found = [] if self._mounting is None else [("mounting", self._mounting.finder.arrays())]
         return [
             ("clock", self._clock.arrays()),
+            ("held", self._preparation.held.arrays()),
             ("filter", self._filter.arrays()),
             (self._detector_stage, self._detector.state()),
             ("trips", self._trips.state()),

@@ -29,12 +29,16 @@ from core.navigation.state import (
     REJECTED_RANGE,
     SPEED_SCALE,
     T_NOW,
+    T_READING,
+    T_REPEATED,
     VEL,
     X_BA,
     X_BG,
+    X_GAINED,
     X_HEAVE,
     X_MOUNT_SC,
     X_Q,
+    X_READING,
     X_RING,
     X_SCALE,
     X_V,
@@ -56,6 +60,11 @@ _P_ZARU = PARAMETER["zaru_sd_radps"]
 
 ROBUST_LIMIT = 25.0
 """A constraint or wheel speed this far beyond its gate (five times the innovation) is refused: a skid."""
+
+HUNG_MPS = 0.5
+"""By so much the speed has to change while its reading stays, 0.3 to 2: a speedometer's steps are 0.28 m/s."""
+HUNG_MPS2 = 0.1
+"""And by this for each second, 0.02 to 0.5: half a degree of tilt, 10 mg of bias."""
 
 _Vector = tuple[float, float, float]
 _STATES = (VEL, VEL + 1, VEL + 2, ATT, ATT + 1, ATT + 2, MOUNT_PITCH, MOUNT_YAW, SPEED_SCALE)
@@ -98,6 +107,15 @@ def _velocity_b(c: Nine, v_n: _Vector) -> _Vector:
 
 
 @compiled()
+def _forward_mps2(x: FloatArray, ti: TimeArray, c: Nine) -> float:
+    """What the accelerometers say of the last block along b's x axis, without gravity."""
+    if ti[I_BLOCKS] == 0:
+        return 0.0
+    newest = X_RING + ((ti[I_BLOCKS] - 1) % N_BLOCKS) * 6
+    return float(x[newest] - x[X_BA] + STANDARD_GRAVITY_MPS2 * c[6])
+
+
+@compiled()
 def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray, work: Work) -> None:
     """A car goes where its wheels point: no lateral and no vertical speed in the vehicle's own axes.
 
@@ -115,10 +133,7 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     v_b = _velocity_b(c, v_n)
     sp, cp, sy, cy = x[X_MOUNT_SC], x[X_MOUNT_SC + 1], x[X_MOUNT_SC + 2], x[X_MOUNT_SC + 3]
     yaw_rate = x[X_W + 2] - x[X_BG + 2]
-    forward_mps2 = 0.0
-    if ti[I_BLOCKS] > 0:
-        newest = X_RING + ((ti[I_BLOCKS] - 1) % N_BLOCKS) * 6
-        forward_mps2 = x[newest] - x[X_BA] + STANDARD_GRAVITY_MPS2 * c[6]
+    forward_mps2 = _forward_mps2(x, ti, c)
     slip = par[_P_NHC_LEVER] * yaw_rate
     heave = x[X_HEAVE] / par[_P_HEAVE]
     squat = par[_P_SQUAT] * forward_mps2 * v_b[0]
@@ -166,12 +181,30 @@ def _reverses(p: FloatArray, row: Nine, forward_mps: float, reading_mps: float, 
 
 
 @compiled()
+def _hangs(x: FloatArray, ti: TimeArray, t_ns: int, reading_mps: float, c: Nine) -> bool:
+    """Whether the wheel speed says to the last bit what it said before, while the vehicle has become faster or slower.
+
+    That is what its accelerometers say since; they can be wrong by their tilt and bias for as long.
+    """
+    if reading_mps != x[X_READING] or ti[T_READING] == 0:
+        x[X_READING], x[X_GAINED] = reading_mps, 0.0
+        ti[T_REPEATED] = t_ns
+    else:
+        x[X_GAINED] += _forward_mps2(x, ti, c) * (t_ns - ti[T_READING]) * 1e-9
+    ti[T_READING] = t_ns
+    return bool(abs(x[X_GAINED]) > HUNG_MPS + HUNG_MPS2 * (t_ns - ti[T_REPEATED]) * 1e-9)
+
+
+@compiled()
 def fuse_speed(
     x: FloatArray, ti: TimeArray, p: FloatArray, t_ns: int, reading_mps: float, par: FloatArray, work: Work
 ) -> None:
     """Wheel speed: (1 + scale) times the speed along the vehicle's forward axis, without its sign."""
     n, dx, ph = work[0], work[1], work[2]
     c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
+    if _hangs(x, ti, t_ns, reading_mps, c):
+        count(ti, A_SPEED, REJECTED_RANGE)
+        return
     v_n = (x[X_V], x[X_V + 1], x[X_V + 2])
     v_b = _velocity_b(c, v_n)
     sp, cp, sy, cy = x[X_MOUNT_SC], x[X_MOUNT_SC + 1], x[X_MOUNT_SC + 2], x[X_MOUNT_SC + 3]

@@ -142,7 +142,7 @@ class NavigationFilter:
         return self.p.reshape(state.N_STATES, state.N_STATES).copy()
 
     def step(
-        self, imu_t_ns: TimeArray, f_b: FloatArray, omega_b: FloatArray, saturated: FloatArray, aids: Aids
+        self, imu_t_ns: TimeArray, f_b: FloatArray, omega_b: FloatArray, unsound: FloatArray, aids: Aids
     ) -> FilterOutput:
         """Fold samples in. Aids later than the last sample wait for the next call.
 
@@ -150,7 +150,7 @@ class NavigationFilter:
         ----------
         imu_t_ns : (n,) int64, increasing
         f_b, omega_b : (n, 3) calibrated specific force (m/s2) and rate (rad/s) in body axes
-        saturated : (n,) 1 where the accelerometer read its full scale
+        unsound : (n,) sums of ``kernel.CLIPPED`` and ``kernel.HELD``, 0 where nothing is wrong with a sample
         aids : GNSS, magnetometer, wheel speed and air pressure of the same span
         """
         self._admit(imu_t_ns, aids)
@@ -161,7 +161,7 @@ class NavigationFilter:
         while begin < len(imu_t_ns):
             if self.aligned:
                 used = self._navigate(
-                    imu_t_ns[begin:], f_b[begin:], omega_b[begin:], saturated[begin:], epochs[begin:], rows, records
+                    imu_t_ns[begin:], f_b[begin:], omega_b[begin:], unsound[begin:], epochs[begin:], rows, records
                 )
             else:
                 used, track = self._align(imu_t_ns[begin:], f_b[begin:], omega_b[begin:])
@@ -213,7 +213,7 @@ class NavigationFilter:
         t_ns: TimeArray,
         f_b: FloatArray,
         omega_b: FloatArray,
-        saturated: FloatArray,
+        unsound: FloatArray,
         epochs: FloatArray,
         rows: list[Track],
         records: list[AidRecords],
@@ -228,11 +228,11 @@ class NavigationFilter:
                 return 0
         aids = self._pending.take(~late)
         used, used_aids, track, told, stopped = self._run(
-            t_ns[:end], f_b[:end], omega_b[:end], saturated[:end], aids, epochs[:end]
+            t_ns[:end], f_b[:end], omega_b[:end], unsound[:end], aids, epochs[:end]
         )
         rows.append(track)
         records.append(told)
-        self._recent.add(t_ns[:used], f_b[:used], omega_b[:used], saturated[:used], aids.take(slice(0, used_aids)))
+        self._recent.add(t_ns[:used], f_b[:used], omega_b[:used], unsound[:used], aids.take(slice(0, used_aids)))
         done = np.zeros(len(self._pending), np.bool_)
         done[np.flatnonzero(~late)[:used_aids]] = True
         self._pending = self._pending.take(~done)
@@ -281,7 +281,7 @@ class NavigationFilter:
         t_ns: TimeArray,
         f_b: FloatArray,
         omega_b: FloatArray,
-        saturated: FloatArray,
+        unsound: FloatArray,
         aids: Pending,
         epochs: FloatArray,
     ) -> tuple[int, int, Track, AidRecords, int]:
@@ -302,7 +302,7 @@ class NavigationFilter:
         nodes = _table(n_nodes, NODE_WIDTH)
         used, used_aids, n_rows, stopped = kernel.run(
             *self.kernel_arguments(
-                t_ns, f_b, omega_b, saturated, aids.t_ns, aids.rows, epochs,
+                t_ns, f_b, omega_b, unsound, aids.t_ns, aids.rows, epochs,
                 rows.t_ns, rows.values, log.t_ns, log.values, *nodes,
             )
         )  # fmt: skip
@@ -320,7 +320,7 @@ class NavigationFilter:
         t_ns: TimeArray,
         f_b: FloatArray,
         omega_b: FloatArray,
-        saturated: FloatArray,
+        unsound: FloatArray,
         aid_t_ns: TimeArray,
         aids: FloatArray,
         epochs: FloatArray,
@@ -329,7 +329,7 @@ class NavigationFilter:
         """The state, these samples and aids, and where the outputs go, in the order of ``kernel.run``."""
         return (
             self.x, self.ti, self.p, self._recent.kept, self._recent.kept_ti, self._scratch, self._par, self._setup,
-            t_ns, f_b, omega_b, saturated, aid_t_ns, aids, epochs, *outputs,
+            t_ns, f_b, omega_b, unsound, aid_t_ns, aids, epochs, *outputs,
         )  # fmt: skip
 
     def _align_anew(self, stopped: int) -> None:

@@ -72,6 +72,8 @@ from core.navigation.state import (
     X_F,
     X_G,
     X_GYRO_SCALE,
+    X_HELD_RUN_S,
+    X_HELD_S,
     X_LAT,
     X_Q,
     X_SATURATED_S,
@@ -97,6 +99,9 @@ MOST_ACCEL_BIAS_MPS2, MOST_GYRO_BIAS_RADPS = 5.0, 1.0
 SCRATCH = 4 * N_STATES
 """Numbers that ``run`` works in: error estimate, two P H', variances added."""
 
+CLIPPED, HELD = 1, 2
+"""What may be wrong with a sample, as bits: the accelerometer read its full scale; the gyroscope hangs."""
+
 USE_NHC, USE_ZUPT = 1, 2
 """Switches of the constraints, as bits."""
 
@@ -120,6 +125,7 @@ _BRIDGE_S = PARAMETER["bridge_s"]
 _BRIDGE_ACCEL = PARAMETER["bridge_accel_sd_mps2"]
 _BRIDGE_TILT = PARAMETER["bridge_tilt_sd_radps"]
 _BRIDGE_YAW = PARAMETER["bridge_yaw_sd_radps"]
+_HELD_RATE = PARAMETER["held_rate_sd_radps"]
 _GAP_S = PARAMETER["max_gap_s"]
 _SATURATED = PARAMETER["saturated_accel_sd_mps2"]
 
@@ -166,6 +172,13 @@ def _catch_up(
     q[ATT] += (par[_BRIDGE_TILT] * bridged) ** 2
     q[ATT + 1] += (par[_BRIDGE_TILT] * bridged) ** 2
     q[ATT + 2] += (par[_BRIDGE_YAW] * bridged) ** 2
+    if x[X_HELD_S] > 0.0 and ti[I_STATIONARY] == 0:
+        # The rate that is not seen lasts: its angle grows with the time, not with the root of it.
+        run = max(x[X_HELD_RUN_S], x[X_HELD_S])
+        held = run * run - (run - x[X_HELD_S]) ** 2
+        q[ATT] += par[_BRIDGE_TILT] ** 2 * held
+        q[ATT + 1] += par[_BRIDGE_TILT] ** 2 * held
+        q[ATT + 2] += par[_HELD_RATE] ** 2 * held
     q[SPEED_SCALE] = par[_SCALE_WALK] ** 2 * dt
     q[MOUNT_PITCH] = par[_MOUNT_WALK] ** 2 * dt
     q[MOUNT_YAW] = par[_MOUNT_WALK] ** 2 * dt
@@ -181,7 +194,7 @@ def _catch_up(
     ti[I_BROKEN] = 0
     propagate(p, dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, x[X_TURN], q)
     x[X_DV], x[X_DV + 1], x[X_DV + 2], x[X_TURN] = 0.0, 0.0, 0.0, 0.0
-    x[X_SATURATED_S], x[X_BRIDGED_S] = 0.0, 0.0
+    x[X_SATURATED_S], x[X_BRIDGED_S], x[X_HELD_S] = 0.0, 0.0, 0.0
     ti[T_COV] = ti[T_NOW]
 
 
@@ -250,7 +263,7 @@ def run(
     imu_t_ns: TimeArray,
     f_b: FloatArray,
     omega_b: FloatArray,
-    saturated: FloatArray,
+    unsound: FloatArray,
     aid_t_ns: TimeArray,
     aids: FloatArray,
     epochs: FloatArray,
@@ -270,7 +283,7 @@ def run(
     scratch : (SCRATCH,) zeros at first; nothing in it outlives the call
     par : ``Tuning.as_array()``
     setup : (7,) inertial sensor in the body (3), antenna against the sensor (3), m; switches ``USE_NHC | USE_ZUPT``
-    imu_t_ns, f_b, omega_b, saturated : (n,), (n, 3), (n, 3), (n,) calibrated samples in b
+    imu_t_ns, f_b, omega_b, unsound : (n,), (n, 3), (n, 3), (n,) calibrated samples in b; sums of CLIPPED, HELD
     aid_t_ns, aids : (m,), (m, AID_WIDTH) usable aids by increasing time; those after the last sample wait
     epochs : (n, 4) written: down in b and horizontal speed at each sample
     out_t_ns, out : written: track rows
@@ -307,6 +320,7 @@ def run(
     s0, s1, s2 = x[X_BLOCK], x[X_BLOCK + 1], x[X_BLOCK + 2]
     s3, s4, s5 = x[X_BLOCK + 3], x[X_BLOCK + 4], x[X_BLOCK + 5]
     in_block = ti[I_BLOCK]
+    hangs = x[X_HELD_RUN_S] > 0.0
     t_prev = ti[T_NOW]
     next_event = np.int64(0)
     stopped = STOPPED_END
@@ -345,8 +359,16 @@ def run(
         qw, qx, qy, qz = turned(qw, qx, qy, qz, ax, ay, az)
         fx, fy, fz, wx, wy, wz = nfx, nfy, nfz, nwx, nwy, nwz
         t_prev = t
-        if saturated[k] != 0.0:
-            x[X_SATURATED_S] += dt
+        wrong = int(unsound[k])
+        if wrong != 0:
+            if wrong & CLIPPED:
+                x[X_SATURATED_S] += dt
+            if wrong & HELD:
+                x[X_HELD_S] += dt
+                x[X_HELD_RUN_S] += dt
+                hangs = True
+        if hangs and not wrong & HELD:
+            hangs, x[X_HELD_RUN_S] = False, 0.0
         if dt > bridge_s:
             x[X_BRIDGED_S] += dt
         epochs[k, 0] = 2.0 * (qx * qz - qw * qy)

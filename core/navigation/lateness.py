@@ -33,11 +33,11 @@ class Recent:
         self.kept_ti[:] = 0
         kernel.keep(x, ti, p, self.kept, self.kept_ti)
 
-    def add(self, t_ns: TimeArray, f_b: FloatArray, omega_b: FloatArray, saturated: FloatArray, aids: Pending) -> None:
+    def add(self, t_ns: TimeArray, f_b: FloatArray, omega_b: FloatArray, unsound: FloatArray, aids: Pending) -> None:
         """What was folded in; what lies before the oldest kept state is dropped."""
         oldest_ns = self.oldest_ns
         seen, new = self.t_ns > oldest_ns, t_ns > oldest_ns
-        own = np.column_stack([f_b[new], omega_b[new], saturated[new]])
+        own = np.column_stack([f_b[new], omega_b[new], unsound[new]])
         self.t_ns = np.concatenate([self.t_ns[seen], t_ns[new]])
         self.samples = np.concatenate([self.samples[seen], own])
         self.aids = self.aids.take(self.aids.t_ns > oldest_ns).join(aids.take(aids.t_ns > oldest_ns))

@@ -67,7 +67,11 @@ X_FIELD: Final = 79  # magnitude of the magnetic field as learnt, uT; 0 before
 X_MEAN_NU: Final = 80  # fading mean of the innovations of fixes over their sd, 2
 X_FIX: Final = 82  # latitude and longitude of the last fix, rad, 2
 X_TURN: Final = 84  # integral of the rate about z since the covariance was last propagated, rad
-X_RING: Final = 85  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
+X_HELD_S: Final = 85  # time with a hanging gyroscope since the covariance was last propagated, s
+X_HELD_RUN_S: Final = 86  # the same since it began to hang, s
+X_READING: Final = 87  # last wheel speed, m/s
+X_GAINED: Final = 88  # speed gained since that reading first came, by the accelerometers, m/s
+X_RING: Final = 89  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
 N_BLOCKS: Final = 10
 NX: Final = X_RING + 6 * N_BLOCKS
 
@@ -95,7 +99,9 @@ I_RECORDS: Final = 19  # rows written in this call
 I_NODES: Final = 20  # likewise
 I_BROKEN: Final = 21  # the position was reset at this instant
 I_HANGS: Final = 22  # the receiver repeats its last fix although the vehicle moved
-I_COUNTS: Final = 23  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
+T_READING: Final = 23  # last wheel speed
+T_REPEATED: Final = 24  # first of a run of equal ones
+I_COUNTS: Final = 25  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
 
 # Aids and outcomes, the axes of the counters.
 AIDS: Final = (

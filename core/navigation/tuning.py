@@ -226,6 +226,9 @@ class Tuning(Tunables):
         high=5,
         source="a turn begun or ended unseen: lateral 2 m/s2 at 10 m/s, half of it interpolated",
     )
+    held_rate_sd_radps: float = tunable(
+        0.2, unit="rad/s", low=0, high=5, source="a turn that a hanging gyroscope misses: 2 m/s2 to the side at 10 m/s"
+    )
     max_gap_s: float = tunable(5.0, unit="s", low=0.1, high=600, source="after a longer gap the filter aligns anew")
     saturated_accel_sd_mps2: float = tunable(
         50.0, unit="m/s2", low=0, high=1000, source="half of a 10 g pulse is beyond 2 g; 49 CFR 563 pulses"

@@ -120,7 +120,8 @@ def drive():
 
 
 def samples(m):
-    return BodySamples(m.imu_t_ns, m.f_s, m.omega_s, np.zeros(len(m.imu_t_ns)))
+    none = np.zeros(len(m.imu_t_ns))
+    return BodySamples(m.imu_t_ns, m.f_s, m.omega_s, none, none)
 
 
 SD_RAD = math.radians(2.0)

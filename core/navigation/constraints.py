@@ -41,6 +41,8 @@ from core.navigation.state import (
     X_READING,
     X_RING,
     X_SCALE,
+    X_SQUAT,
+    X_SQUAT_VAR,
     X_V,
     X_W,
 )
@@ -51,8 +53,7 @@ _P_NHC = PARAMETER["nhc_sd_mps"]
 _P_NHC_LEVER = PARAMETER["nhc_lever_m"]
 _P_NHC_SPEED = PARAMETER["nhc_min_speed_mps"]
 _P_HEAVE = PARAMETER["heave_radps"]
-_P_SQUAT = PARAMETER["squat_rad_per_mps2"]
-_P_SQUAT_SD = PARAMETER["squat_sd_rad_per_mps2"]
+_P_SQUAT_SHARE = PARAMETER["squat_share"]
 _P_SPEED = PARAMETER["speed_sd_mps"]
 _P_REVERSE_ODDS = PARAMETER["reverse_log_odds"]
 _P_ZUPT = PARAMETER["zupt_sd_mps"]
@@ -121,7 +122,7 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
 
     Sideways the box moves with the yaw rate times its distance from the rear axle, which is not known. Upwards the
     body moves on its springs, the more the harder it is shaken. Both widen the spread. It squats and dives while the
-    road stays, for as long as it accelerates or brakes: that is reckoned with, or it would be taken for slope.
+    road stays, for as long as it accelerates or brakes: how much is learnt, or it would be taken for slope.
     """
     n, dx, ph, ph2 = work[0], work[1], work[2], work[3]
     t_ns = ti[T_NOW]
@@ -136,8 +137,9 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     forward_mps2 = _forward_mps2(x, ti, c)
     slip = par[_P_NHC_LEVER] * yaw_rate
     heave = x[X_HEAVE] / par[_P_HEAVE]
-    squat = par[_P_SQUAT] * forward_mps2 * v_b[0]
-    squat_sd = par[_P_SQUAT_SD] * forward_mps2 * v_b[0]
+    rising = forward_mps2 * v_b[0]
+    squat = x[X_SQUAT] * rising
+    squat_var = x[X_SQUAT_VAR] * rising * rising
     base = par[_P_NHC] * par[_P_NHC]
 
     lateral, row = _row_along(c, v_n, v_b, (-sy, cy, 0.0), (0.0, 0.0, 0.0), (-cy, -sy, 0.0), 1.0, 0.0)
@@ -149,7 +151,7 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     vertical, row = _row_along(
         c, v_n, v_b, (cy * sp, sy * sp, cp), (cy * cp, sy * cp, -sp), (-sy * sp, cy * sp, 0.0), 1.0, 0.0
     )
-    s2 = project_nine(p, n, _STATES, row, ph2) + base + heave * heave + squat_sd * squat_sd
+    s2 = project_nine(p, n, _STATES, row, ph2) + base + heave * heave + squat_var
     cross = along_nine(_STATES, row, ph)
     decorrelate(n, ph, ph2, cross * inverse1)
     s2 -= cross * cross * inverse1
@@ -157,6 +159,10 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     ratio2 = nu2 * nu2 / (par[_P_GATE] * s2)
     inverse2 = 0.0 if ratio2 > ROBUST_LIMIT else 1.0 / (s2 * max(ratio2, 1.0))
 
+    # Learnt beside the filter: a state of its own would cost every propagation, and the errors of the others are small.
+    gain = par[_P_SQUAT_SHARE] * x[X_SQUAT_VAR] * rising * inverse2
+    x[X_SQUAT] -= gain * nu2
+    x[X_SQUAT_VAR] *= 1.0 - gain * rising
     update_pair(p, n, ph, inverse1, nu1, ph2, inverse2, nu2, dx)
     correct(x, dx)
     outcome1 = FUSED if inverse1 > 0.0 else REJECTED_GATE

@@ -71,7 +71,9 @@ X_HELD_S: Final = 85  # time with a hanging gyroscope since the covariance was l
 X_HELD_RUN_S: Final = 86  # the same since it began to hang, s
 X_READING: Final = 87  # last wheel speed, m/s
 X_GAINED: Final = 88  # speed gained since that reading first came, by the accelerometers, m/s
-X_RING: Final = 89  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
+X_SQUAT: Final = 89  # pitch of the body an acceleration, as learnt, rad s2/m
+X_SQUAT_VAR: Final = 90  # its variance
+X_RING: Final = 91  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
 N_BLOCKS: Final = 10
 NX: Final = X_RING + 6 * N_BLOCKS
 

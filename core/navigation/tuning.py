@@ -132,7 +132,10 @@ class Tuning(Tunables):
         0.004, unit="rad s2/m", low=0, high=0.05, source="measured: 2.4, 3.0 and 1.4 deg/g on kth, boston and comma2k19"
     )
     squat_sd_rad_per_mps2: float = tunable(
-        0.002, unit="rad s2/m", low=0, high=0.05, source="spread of squat_rad_per_mps2 over those cars, and its delay"
+        0.002, unit="rad s2/m", low=0, high=0.05, source="spread of it over those cars; none at all is at 2 sd"
+    )
+    squat_share: float = tunable(
+        0.1, unit="1", low=0, high=1, source="of each constraint's weight to learn by: at 5 Hz ten see one acceleration"
     )
     nhc_min_speed_mps: float = tunable(1.0, unit="m/s", low=0, high=10, source=_CHOICE)
     constraint_interval_s: float = tunable(0.2, unit="s", low=0.05, high=5, source="5 Hz, as the design measured")

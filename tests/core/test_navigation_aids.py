@@ -28,6 +28,8 @@ from core.navigation.state import (
     POS,
     SPEED_SCALE,
     VEL,
+    X_SQUAT,
+    X_SQUAT_VAR,
 )
 from core.navigation.stillness import close_block
 from core.navigation.tuning import Tuning
@@ -40,8 +42,6 @@ EXACT = replace(
     gnss_sd_v_floor_mps=1e-3,
     nhc_sd_mps=0.01,
     nhc_lever_m=0.0,
-    squat_rad_per_mps2=0.0,
-    squat_sd_rad_per_mps2=0.0,
     speed_sd_mps=0.01,
     zupt_sd_mps=1e-3,
     zaru_sd_radps=1e-6,
@@ -402,11 +402,25 @@ def test_squatting_under_acceleration_is_no_slope():
     force_mps2 = float(FORCE_B[0] + STANDARD_GRAVITY_MPS2 * matrix_from_rpy(*RPY)[2, 0])
     rising_mps = squat_rad_per_mps2 * force_mps2 * speed_mps
     assert abs(rising_mps) > 0.1
-    tuning = replace(EXACT, squat_rad_per_mps2=squat_rad_per_mps2)
-    case = Case.of(ATT + 1, 0.0, 0.1, v_vehicle=(speed_mps, 0.0, rising_mps), tuning=tuning)
+    case = Case.of(ATT + 1, 0.0, 0.1, v_vehicle=(speed_mps, 0.0, rising_mps))
+    case.x[X_SQUAT] = squat_rad_per_mps2
     case.going_straight()
     # Of the 7 mrad that the speed along the body's down axis would else be taken for: its own change with the attitude.
     assert abs(case.left(ATT + 1)) < 0.02 * abs(rising_mps) / speed_mps
+
+
+@pytest.mark.parametrize("squat_rad_per_mps2", [0.0, 0.002, 0.007])
+def test_how_much_a_car_squats_is_learnt(squat_rad_per_mps2):
+    speed_mps = 15.0
+    force_mps2 = float(FORCE_B[0] + STANDARD_GRAVITY_MPS2 * matrix_from_rpy(*RPY)[2, 0])
+    rising_mps = squat_rad_per_mps2 * force_mps2 * speed_mps
+    case = Case.of(ATT + 1, 0.0, 0.0, v_vehicle=(speed_mps, 0.0, rising_mps), tuning=replace(EXACT, squat_share=0.1))
+    case.x[X_SQUAT], case.x[X_SQUAT_VAR] = 0.004, 0.002**2
+    for _ in range(100):
+        case.going_straight()
+    sd = math.sqrt(case.x[X_SQUAT_VAR])
+    assert sd < 0.0005
+    assert case.x[X_SQUAT] == pytest.approx(squat_rad_per_mps2, abs=2 * sd)
 
 
 def test_a_skid_is_refused_and_slow_driving_is_not_constrained():

@@ -21,6 +21,7 @@ from core.navigation.admission import usable_fixes
 from core.navigation.alignment import Start
 from core.navigation.filter import Aids, Series
 from core.navigation.mounting import MountingFinder
+from core.past import BodySamples, Past
 from core.rotation import matrix_from_rpy
 from core.sensors import TriadCalibration
 
@@ -41,20 +42,6 @@ class Mounting:
 
     rpy_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
     known: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BodySamples:
-    """Calibrated inertial samples in body axes, in increasing time.
-
-    ``saturated`` (n,) is 1 where the accelerometer clipped, ``held`` (n,) where the gyroscope hangs.
-    """
-
-    t_ns: TimeArray
-    f_b: FloatArray
-    omega_b: FloatArray
-    saturated: FloatArray
-    held: FloatArray
 
 
 @njit(cache=True, nogil=True)
@@ -144,12 +131,16 @@ class Preparation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turn:
-    """Other body axes from ``t_ns`` on: their rotation, and the recent past in them, for an alignment."""
+    """Other body axes from ``t_ns`` on: their rotation, and the recent past in them, for an alignment.
+
+    Where these axes were found, ``past`` is all of the last minute in them.
+    """
 
     C_new_from_old: FloatArray
     t_ns: int
     imu: Series
     gnss: Series
+    past: tuple[BodySamples, Aids] | None
 
 
 class FoundMounting:
@@ -157,6 +148,7 @@ class FoundMounting:
 
     def __init__(self, par: FloatArray, gnss_time_offset_s: float) -> None:
         self.finder = MountingFinder()
+        self._past = Past()
         self._par = par
         self._offset_ns = round(gnss_time_offset_s * 1e9)
 
@@ -181,7 +173,10 @@ class FoundMounting:
             t_ns, f_m, omega_m = samples.t_ns[part], samples.f_b[part], samples.omega_b[part]
             usable = usable_fixes(now.gnss[1], self._par)
             finder.add(t_ns, f_m, omega_m, (now.gnss[0][usable] + self._offset_ns, now.gnss[1][usable]))
-            yield turn, *self._turned(BodySamples(t_ns, f_m, omega_m, samples.saturated[part], samples.held[part]), now)
+            in_m = BodySamples(t_ns, f_m, omega_m, samples.saturated[part], samples.held[part])
+            if not finder.agreed:
+                self._past.add(in_m, now)
+            yield turn, *self._turned(in_m, now)
             if last:
                 return
             begin = end
@@ -190,7 +185,21 @@ class FoundMounting:
             if found is not None:
                 imu_t_ns, imu, gnss_t_ns, gnss = finder.recent()
                 rows = np.hstack([self._turned_rows(imu[:, :3]), self._turned_rows(imu[:, 3:])])
-                turn = Turn(found, boundary_ns, (imu_t_ns, rows), (gnss_t_ns, gnss))
+                past = None if finder.contradicted else self._turned(*self._past.joined())
+                turn = Turn(found, boundary_ns, (imu_t_ns, rows), (gnss_t_ns, gnss), past)
+            if finder.agreed:
+                self._past.forget()
+            else:
+                self._past.trim(boundary_ns)
+
+    def arrays(self) -> dict[str, npt.NDArray[np.generic]]:
+        """State by name, for snapshots."""
+        return self.finder.arrays() | {f"past.{name}": value for name, value in self._past.arrays().items()}
+
+    def load(self, arrays: dict[str, npt.NDArray[np.generic]]) -> None:
+        """Take over what ``arrays`` gave."""
+        self.finder.load(arrays)
+        self._past.load({name[5:]: value for name, value in arrays.items() if name.startswith("past.")})
 
     def _turned(self, samples: BodySamples, aids: Aids) -> tuple[BodySamples, Aids]:
         if not self.finder.found:

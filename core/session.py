@@ -23,7 +23,8 @@ from core.navigation.alignment import next_second_ns
 from core.navigation.filter import Aids, FilterConfig, NavigationFilter
 from core.navigation.kernel import CLIPPED, HELD
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
-from core.preparation import BodySamples, FoundMounting, Mounting, Preparation
+from core.past import BodySamples
+from core.preparation import FoundMounting, Mounting, Preparation
 from core.rotation import matrix_from_rpy, rpy_from_matrix
 from core.sensors import TriadCalibration
 from core.snapshot import pack, unpack
@@ -166,8 +167,7 @@ class Session:
         tracks: list[Track] = []
         impacts: list[Impact] = []
         for part, aids_of_part in self._in_body_axes(samples, aids, counts):
-            unsound = CLIPPED * part.saturated + HELD * part.held
-            fused = self._filter.step(part.t_ns, part.f_b, part.omega_b, unsound, aids_of_part)
+            fused = self._filter.step(part.t_ns, part.f_b, part.omega_b, _unsound(part), aids_of_part)
             # A constant, so that packets do not matter: gravity differs from it by 0.03 m/s2 at most, and upwards.
             impacts += self._detector.step(
                 VehicleMotion(
@@ -198,14 +198,18 @@ class Session:
             return
         finder = self._mounting.finder
         for turn, part, aids_of_part in self._mounting.step(samples, aids):
-            if turn is not None:
-                self._filter.turn(turn.C_new_from_old, turn.t_ns, turn.imu, turn.gnss)
-                self._detector.turn(turn.C_new_from_old)
-                name = "mounting.contradicted" if finder.contradicted else "mounting.found"
-                counts[name] = counts.get(name, 0) + 1
             self._filter.start = self._mounting.start
             if finder.found:
                 self._filter.mount_angle_sd_rad = math.hypot(*finder.found_sd_rad)
+            if turn is not None:
+                if turn.past is None:
+                    self._filter.turn(turn.C_new_from_old, turn.t_ns, turn.imu, turn.gnss)
+                else:
+                    past, past_aids = turn.past
+                    self._filter.retrace(past.t_ns, past.f_b, past.omega_b, _unsound(past), past_aids)
+                self._detector.turn(turn.C_new_from_old)
+                name = "mounting.contradicted" if finder.contradicted else "mounting.found"
+                counts[name] = counts.get(name, 0) + 1
             yield part, aids_of_part
 
     @property
@@ -267,11 +271,11 @@ class Session:
         session._clock.load(parts["clock"])
         session._preparation.held.load(parts["held"])
         if session._mounting is not None and "mounting" in parts:
-            session._mounting.finder.load(parts["mounting"])
+            session._mounting.load(parts["mounting"])
         return session
 
     def _stages(self) -> list[tuple[str, Arrays]]:
-        found = [] if self._mounting is None else [("mounting", self._mounting.finder.arrays())]
+        found = [] if self._mounting is None else [("mounting", self._mounting.arrays())]
         return [
             ("clock", self._clock.arrays()),
             ("held", self._preparation.held.arrays()),
@@ -296,6 +300,10 @@ class Session:
         for aid, outcome in zip(*np.nonzero(table > 0), strict=True):
             name = f"{state.AIDS[aid]}.{state.OUTCOMES[outcome]}"
             counts[name] = counts.get(name, 0) + int(table[aid, outcome])
+
+
+def _unsound(samples: BodySamples) -> npt.NDArray[np.float64]:
+    return CLIPPED * samples.saturated + HELD * samples.held
 
 
 def _newest(track: Track, span_s: float) -> Track:

@@ -20,7 +20,7 @@ from core.navigation.admission import position_sd_m, usable_fixes
 from core.navigation.solution import SLOW, SLOW_COLUMNS, Solution
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.navigation.tuning import Tuning
-from core.preparation import BodySamples
+from core.past import BodySamples
 from core.rotation import matrix_from_quaternion, rpy_from_matrix
 from core.tunables import Tunables, tunable
 

@@ -100,20 +100,8 @@ class NavigationFilter:
         imu_lever = np.array(config.imu_lever_b_m, dtype=float)
         antenna_lever = np.array(config.antenna_lever_b_m, dtype=float) - imu_lever
         self._setup = np.concatenate([imu_lever, antenna_lever, [float(switches)]])
-        self.x = np.zeros(state.NX)
-        self.ti = np.zeros(state.NT, np.int64)
-        self.p = np.zeros(state.N_STATES**2)
         self._scratch = np.zeros(kernel.SCRATCH)
-        self._aligned = np.zeros(1, np.bool_)
-        self._known = np.zeros(1, np.bool_)  # biases and mounting were estimated before
-        self._evaluation_ns = np.zeros(1, np.int64)
-        self._newest_aid_ns = np.zeros(len(_AIDS_OF_KIND), np.int64)
-        self._used_aid_ns = np.zeros(len(_AIDS_OF_KIND), np.int64)
-        self._aligner = Aligner(config.tuning)
-        # What was refused or given up outside of the kernel: going back does not undo it.
-        self._own_counts = np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64)
-        self._pending = Pending()
-        self._recent = Recent()
+        self._clear()
         self.recorder: Recorder | None = None
         """Set by post-processing, which wants more than a stream can keep."""
         # Told before each step by who knows the mounting, so no part of the state.
@@ -121,6 +109,21 @@ class NavigationFilter:
         self.mount_angle_sd_rad = (
             config.tuning.mount_angle_sd_rad if config.mount_angle_sd_rad is None else config.mount_angle_sd_rad
         )
+
+    def _clear(self) -> None:
+        self.x = np.zeros(state.NX)
+        self.ti = np.zeros(state.NT, np.int64)
+        self.p = np.zeros(state.N_STATES**2)
+        self._aligned = np.zeros(1, np.bool_)
+        self._known = np.zeros(1, np.bool_)  # biases and mounting were estimated before
+        self._evaluation_ns = np.zeros(1, np.int64)
+        self._newest_aid_ns = np.zeros(len(_AIDS_OF_KIND), np.int64)
+        self._used_aid_ns = np.zeros(len(_AIDS_OF_KIND), np.int64)
+        self._aligner = Aligner(self.config.tuning)
+        # What was refused or given up outside of the kernel: going back does not undo it.
+        self._own_counts = np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64)
+        self._pending = Pending()
+        self._recent = Recent()
 
     @property
     def aligned(self) -> bool:
@@ -365,6 +368,22 @@ class NavigationFilter:
         if found is not None:
             self._start(found)
         return before, row
+
+    def retrace(
+        self, imu_t_ns: TimeArray, f_b: FloatArray, omega_b: FloatArray, unsound: FloatArray, aids: Aids
+    ) -> None:
+        """Forget everything and go through the past in other body axes, up to now; parameters as of ``step``.
+
+        What was told stands, and what this brings again is not counted.
+        """
+        counts = self.counts
+        self._clear()
+        if self.recorder is not None and len(imu_t_ns):
+            from_ns = int(imu_t_ns[0])
+            self.recorder.cut(from_ns - 1)
+            self.recorder.starts_ns[:] = [start_ns for start_ns in self.recorder.starts_ns if start_ns < from_ns]
+        self.step(imu_t_ns, f_b, omega_b, unsound, aids)
+        self._own_counts += counts - self.counts
 
     def turn(self, C_new_from_old: FloatArray, t_ns: int, recent: Series, gnss: Series) -> None:
         """Take other body axes from ``t_ns`` on, a whole second: align in them, at once if the recent past allows it.

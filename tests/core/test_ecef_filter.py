@@ -17,7 +17,7 @@ from core.measurements import GNSS
 from core.navigation import ecef_model as model
 from core.navigation.ecef_filter import EcefConfig, EcefTuning, GivenAttitude, run
 from core.navigation.track import Mode
-from core.preparation import BodySamples
+from core.past import BodySamples
 from core.rotation import matrix_from_quaternion, wrap_angle_rad
 from core.simulation.scenarios import simulate
 from core.simulation.sensors import gauss_markov

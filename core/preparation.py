@@ -174,7 +174,7 @@ class FoundMounting:
             usable = usable_fixes(now.gnss[1], self._par)
             finder.add(t_ns, f_m, omega_m, (now.gnss[0][usable] + self._offset_ns, now.gnss[1][usable]))
             in_m = BodySamples(t_ns, f_m, omega_m, samples.saturated[part], samples.held[part])
-            if not finder.agreed:
+            if not finder.settled:
                 self._past.add(in_m, now)
             yield turn, *self._turned(in_m, now)
             if last:
@@ -187,7 +187,7 @@ class FoundMounting:
                 rows = np.hstack([self._turned_rows(imu[:, :3]), self._turned_rows(imu[:, 3:])])
                 past = None if finder.contradicted else self._turned(*self._past.joined())
                 turn = Turn(found, boundary_ns, (imu_t_ns, rows), (gnss_t_ns, gnss), past)
-            if finder.agreed:
+            if finder.settled:
                 self._past.forget()
             else:
                 self._past.trim(boundary_ns)

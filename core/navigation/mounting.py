@@ -50,7 +50,7 @@ class MountingFinder:
         self._sums: FloatArray = np.zeros((len(SPANS), SUMS))
         self._rest: FloatArray = np.zeros(REST)
         self._found_sd_rad: FloatArray = np.full(2, math.inf)
-        self._verdict = np.zeros(2, np.bool_)  # contradicted, agreed
+        self._verdict = np.zeros(3, np.bool_)  # contradicted, agreed, settled
         self._evaluation_ns: TimeArray = np.zeros(1, np.int64)
         self._observed_ns: TimeArray = np.zeros(1, np.int64)  # the newest fix that was made use of
         self._imu_t_ns: TimeArray = np.empty(0, np.int64)
@@ -102,6 +102,11 @@ class MountingFinder:
         return bool(self._verdict[1])
 
     @property
+    def settled(self) -> bool:
+        """Whether ``C_b_from_m`` agrees as surely as another would have to be known to be found in its place."""
+        return bool(self._verdict[2])
+
+    @property
     def undisputed(self) -> bool:
         """Whether enough of the drive was seen without a word against ``C_b_from_m``."""
         waited = any(
@@ -144,9 +149,10 @@ class MountingFinder:
             turn = evidence.C_b_from_m @ self.C_b_from_m.T
             self.C_b_from_m = evidence.C_b_from_m
             self._found_sd_rad[:] = evidence.tilt_sd_rad, evidence.yaw_sd_rad
-            self._verdict[:] = False, True
+            self._verdict[:] = False, True, True
             return turn
-        self._verdict[:] = contradicted, not contradicted and evidence.yaw_sd_rad <= self.tuning.agreed_sd_rad
+        agreed = not contradicted and evidence.yaw_sd_rad <= self.tuning.agreed_sd_rad
+        self._verdict[:] = contradicted, agreed, agreed and evidence.yaw_sd_rad <= self.tuning.found_sd_rad
         return np.eye(3) if contradicted and not was_contradicted else None
 
     def recent(self) -> tuple[TimeArray, FloatArray, TimeArray, FloatArray]:

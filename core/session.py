@@ -23,6 +23,7 @@ from core.navigation.alignment import next_second_ns
 from core.navigation.filter import Aids, FilterConfig, NavigationFilter
 from core.navigation.kernel import CLIPPED, HELD
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
+from core.navigation.warming import Warming
 from core.past import BodySamples
 from core.preparation import FoundMounting, Mounting, Preparation
 from core.rotation import matrix_from_rpy, rpy_from_matrix
@@ -138,6 +139,7 @@ class Session:
         self._preparation = Preparation(
             config.accelerometer, config.gyroscope, config.mounting, config.accel_full_scale_mps2
         )
+        self._warming = Warming()
         self._filter = NavigationFilter(filter_config)
         self._mounting = (
             None
@@ -161,6 +163,9 @@ class Session:
         if happened == ANEW:
             ended = self._trips.end()
             self._begin()
+        if len(measurements.imu_t_ns):
+            self._warming.step(int(measurements.imu_t_ns[-1]), measurements.temperature_c)
+            self._filter.warm(self._warming.rate_kps)
         before = self._filter.counts
         samples = self._preparation.step(measurements, self._filter.t_ns, counts)
         aids = self._aids(measurements)
@@ -270,6 +275,7 @@ class Session:
         session._trips.load(parts["trips"])
         session._clock.load(parts["clock"])
         session._preparation.held.load(parts["held"])
+        session._warming.load(parts["warming"])
         if session._mounting is not None and "mounting" in parts:
             session._mounting.load(parts["mounting"])
         return session
@@ -279,6 +285,7 @@ class Session:
         return [
             ("clock", self._clock.arrays()),
             ("held", self._preparation.held.arrays()),
+            ("warming", self._warming.arrays()),
             ("filter", self._filter.arrays()),
             (self._detector_stage, self._detector.state()),
             ("trips", self._trips.state()),

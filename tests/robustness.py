@@ -158,7 +158,10 @@ def ride(subject, stream, packet_s=1.0):
 
 def figures(subject, faults, label=None, packet_s=1.0):
     """Ride a drive with these faults and measure."""
-    ridden = ride(subject, inject(Stream.of(subject.measurements), faults, np.random.default_rng(FAULT_SEED)), packet_s)
+    stream = inject(Stream.of(subject.measurements), faults, np.random.default_rng(FAULT_SEED))
+    if label == "temperature unsaid":  # by a box without a thermometer
+        stream = replace(stream, temperature_c=None)
+    ridden = ride(subject, stream, packet_s)
     spans = [(f.start_s, min(f.end_s, ridden.duration_s)) for f in faults]
     after = ridden.t_s >= subject.settled_s
     inside, excluded = np.zeros(len(ridden.t_s), bool), np.zeros(len(ridden.t_s), bool)
@@ -325,6 +328,7 @@ CASES = {
     "duplicates": ("duplicates", None, None),
     "saturation": ("saturation", None, None),
     "temperature": ("temperature", None, None),
+    "temperature unsaid": ("temperature", None, None),
     "stuck gyroscope": ("stuck_gyroscope", None, None),
     "stuck accelerometer": ("stuck_accelerometer", None, None),
     "not a number": ("not_a_number", None, None),

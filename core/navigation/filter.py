@@ -6,6 +6,7 @@ between aligning and navigating, snapshots.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -31,7 +32,7 @@ from core.navigation.recorder import Recorder
 from core.navigation.records import RECORD_COLUMNS, AidRecords
 from core.navigation.starting import begin
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
-from core.navigation.tuning import Tuning
+from core.navigation.tuning import PARAMETER, Tuning
 
 Series = tuple[TimeArray, FloatArray]
 
@@ -173,6 +174,19 @@ class NavigationFilter:
                     self.recorder.add(_no_nodes(), track, _no_records())
             begin += used
         return FilterOutput(Track.joined(rows), epochs, AidRecords.joined(records))
+
+    def warm(self, rate_kps: float) -> None:
+        """Let the biases walk as the box's temperature does, told before each step; the mean change is not known.
+
+        A drift of so much a second, all one way for ``warming_s``, spreads as this walk does in that time.
+        """
+        tuning = self.config.tuning
+        lasting = rate_kps * math.sqrt(tuning.warming_s)
+        for name, per_k in (
+            ("gyro_bias_walk_radps2_rts", tuning.gyro_bias_radps_per_k),
+            ("accel_bias_walk_mps3_rts", tuning.accel_bias_mps2_per_k),
+        ):
+            self._par[PARAMETER[name]] = math.hypot(getattr(tuning, name), per_k * lasting)
 
     # Aids
 

@@ -33,6 +33,15 @@ class Tuning(Tunables):
     )
     gyro_bias_walk_radps2_rts: float = tunable(5.0e-6, unit="rad/s/sqrt(s)", low=0, high=1e-2, source=_CHOICE)
     accel_bias_walk_mps3_rts: float = tunable(2.0e-4, unit="m/s2/sqrt(s)", low=0, high=1e-1, source=_CHOICE)
+    gyro_bias_radps_per_k: float = tunable(
+        5.2e-4, unit="rad/s/K", low=0, high=1e-2, source="L3GD20 data sheet: zero rate by 0.03 deg/s/K at 250 deg/s"
+    )
+    accel_bias_mps2_per_k: float = tunable(
+        4.9e-3, unit="m/s2/K", low=0, high=0.1, source="LSM303DLHC data sheet: zero g by 0.5 mg/K"
+    )
+    warming_s: float = tunable(
+        60.0, unit="s", low=1, high=3600, source="choice: the longest outage that a bias drifts one way in"
+    )
     gyro_bias_sd_radps: float = tunable(
         1.0e-2, unit="rad/s", low=1e-7, high=1.0, source="turn-on bias of a consumer gyroscope about 0.5 deg/s"
     )

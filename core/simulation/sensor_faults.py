@@ -6,6 +6,7 @@ Each takes a stream, the span in true time and the fault's size.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -28,6 +29,11 @@ ACCEL_MPS2_PER_K: Final = 0.5e-3 * STANDARD_GRAVITY_MPS2
 """Zero-g level against temperature, 0 to 0.02: LSM303DLHC data sheet, 0.5 mg/K typical."""
 GYRO_RADPS_PER_K: Final = math.radians(0.03)
 """Zero-rate level against temperature, 0 to 0.002: L3GD20 data sheet, 0.03 deg/s/K at 250 deg/s."""
+
+COLD_C: Final = 20.0
+"""Of a box whose recording does not say, deg C, -40 to 85."""
+THERMOMETER_K: Final = 1.0
+"""Steps of a box's thermometer, K, 0.01 to 2: L3GD20 data sheet, 1 digit a K."""
 
 
 def box_clock(stream: Stream, span: Span, step_s: float, rng: np.random.Generator) -> Stream:
@@ -77,15 +83,18 @@ def temperature(stream: Stream, span: Span, rise_k: float, rng: np.random.Genera
     """The box warms up by ``rise_k``, as 1 - exp(-t/WARM_UP_S); each axis's bias follows by its coefficient.
 
     Coefficients are the data sheets' typical ones with the sign by chance. What has warmed stays warm after the span.
+    Packets say how warm the box is, as far as its thermometer's steps go.
     """
     m = stream.measurements
     since_s = np.clip((stream.comes_ns["imu"] - span[0]) * 1e-9, 0.0, (span[1] - span[0]) * 1e-9)
     warmth_k = -rise_k * np.expm1(-since_s / WARM_UP_S)
     signs = rng.choice([-1.0, 1.0], (2, 3))
-    return stream.changed(
+    before_c = m.temperature_c if math.isfinite(m.temperature_c) else COLD_C
+    warmed = stream.changed(
         f_s=m.f_s + np.outer(warmth_k, signs[0]) * ACCEL_MPS2_PER_K,
         omega_s=m.omega_s + np.outer(warmth_k, signs[1]) * GYRO_RADPS_PER_K,
     )
+    return replace(warmed, temperature_c=np.round((before_c + warmth_k) / THERMOMETER_K) * THERMOMETER_K)
 
 
 def stuck_gyroscope(stream: Stream, span: Span, axis: float, rng: np.random.Generator) -> Stream:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from core.measurements import Measurements, TimeArray
+from core.measurements import FloatArray, Measurements, TimeArray
 
 SERIES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -45,10 +45,13 @@ class Stream:
         go back.
     comes_ns : mapping of str to (n,) int64
         For each of ``SERIES`` when its samples come, UTC nanoseconds of true time, never decreasing.
+    temperature_c : (n,) float64 or None
+        Of the box when each inertial sample comes; None where it is that of the measurements.
     """
 
     measurements: Measurements
     comes_ns: Mapping[str, TimeArray]
+    temperature_c: FloatArray | None = None
 
     @classmethod
     def of(cls, measurements: Measurements) -> Stream:
@@ -62,7 +65,10 @@ class Stream:
     def chosen(self, series: str, rows: Rows) -> Stream:
         """Of a series these samples only, by their indices, which may repeat."""
         comes_ns = {**self.comes_ns, series: self.comes_ns[series][rows]}
-        return Stream(replace(self.measurements, **self._rows(series, rows)), comes_ns)
+        warmth = self.temperature_c
+        if series == "imu" and warmth is not None:
+            warmth = warmth[rows]
+        return Stream(replace(self.measurements, **self._rows(series, rows)), comes_ns, warmth)
 
     def during(self, series: str, span_ns: tuple[int, int]) -> npt.NDArray[np.bool_]:
         """Which samples of a series (n,) come within a span, its end not included."""
@@ -85,8 +91,10 @@ class Stream:
             if rows["imu"].stop > rows["imu"].start:
                 at = rows["imu"].start
                 ahead_ns = int(self.measurements.imu_t_ns[at] - self.comes_ns["imu"][at])
-            fields = [self._rows(name, part) for name, part in rows.items()]
-            yield Packet(replace(self.measurements, **{k: v for one in fields for k, v in one.items()}), ahead_ns)
+            fields = {k: v for name, part in rows.items() for k, v in self._rows(name, part).items()}
+            if self.temperature_c is not None and rows["imu"].stop > 0:
+                fields["temperature_c"] = float(self.temperature_c[rows["imu"].stop - 1])
+            yield Packet(replace(self.measurements, **fields), ahead_ns)
 
     def _times_ns(self, series: str) -> TimeArray:
         times_ns: TimeArray = getattr(self.measurements, SERIES[series][0])

@@ -7,10 +7,12 @@ import pytest
 from tests.robustness import CASES, DRIVES, OWN_SOLUTION, RECOVERY_S, measured
 
 # What the navigation does not do yet, each with its cause. One that passes all the same fails, so that this stays true.
-WARM = "biases drift by 0.01 deg/s and 0.1 m/s2 in minutes; temperature is not yet a cause of their walk"
+WARM = "biases drift by 0.2 deg/s and 0.03 m/s2 in 100 s, and nothing says that the box warms up"
+CANYON = "a height that reflections pulled off by 2.9 sd is so by 3.3 sd where it is warm"
 WARMED = ("city 1", "city 2", "outages 1", "outages 2", "kth", "boston")
 SHORT = {
-    **{("unnoticed", "temperature", drive): WARM for drive in WARMED},
+    **{("unnoticed", "temperature unsaid", drive): WARM for drive in WARMED},
+    ("unnoticed", "temperature", "city 2"): CANYON,
 }
 
 
@@ -29,7 +31,8 @@ SHARE = 0.99
 """Of the instants outside the faults, inside three sd: the issue's figure. A normal error is so for 99.7 %."""
 
 UNNOTICED = (
-    "outliers", "short jump", "late", "drops", "gaps", "duplicates", "saturation", "temperature", "not a number",
+    "outliers", "short jump", "late", "drops", "gaps", "duplicates", "saturation", "temperature", "temperature unsaid",
+    "not a number",
 )  # fmt: skip
 """Faults that must not show at all: what is wrong is alone against everything else, or is in no reading used."""
 
@@ -93,7 +96,7 @@ def test_ten_seconds_of_good_fixes_bring_it_back(case, drive):
     ("case", "against"),
     [
         known("share", case, against)
-        for case in ("undisturbed", *(case for case in CASES if case != "temperature"))
+        for case in ("undisturbed", *(case for case in CASES if not case.startswith("temperature")))
         for against in ("truth", "own solution")
     ],
 )

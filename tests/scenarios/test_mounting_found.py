@@ -102,8 +102,8 @@ def test_found_it_navigates_as_with_the_true_mounting(rpy_deg, how):
     assert found.aligned_s - told.aligned_s < 35.0  # a pull-away and a brake or bend; at rest with a field sooner
     late = found.t_s > 100.0
     assert np.abs(found.yaw_error_deg[late & (found.t_s < OUTAGE_S[0])]).max() < 6.0
-    # The same drift of the same uncalibrated sensors, from two starts: half as much again, and 3 m.
-    assert found.outage_rms_m() < 1.5 * told.outage_rms_m() + 3.0
+    # What was before is gone through again, so only the mounting's own error differs: measured within 3 %.
+    assert found.outage_rms_m() < 1.1 * told.outage_rms_m() + 1.0
 
 
 @pytest.mark.parametrize("rpy_deg", [CRATE, DASH, BACKWARDS])

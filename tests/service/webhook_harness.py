@@ -76,6 +76,11 @@ class RunningSender:
     def notify(self) -> None:
         self.sender.notify()
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether it has released what a dead predecessor had claimed."""
+        return not self.sender._release_first
+
     def count(self, outcome: str) -> float:
         value = self.metrics.registry.get_sample_value("telefuse_webhook_deliveries_total", {"outcome": outcome})
         return value or 0.0

@@ -34,7 +34,7 @@ class Observability:
 
     Parameters
     ----------
-    weak : names out of ``PARAMETERS`` whose value rests on the prior more than on the recording
+    weak : names out of ``PARAMETERS`` that the recording tells hardly better than the prior, or to be absurd
     condition : condition number of the normalised information matrix
     add : directions of up (unit, sensor axes) of the positions that would tell most, best first
     advice : one sentence for the one who records; empty where nothing is weak

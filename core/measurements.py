@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -113,3 +115,15 @@ class Measurements:
             barometer_t_ns=self.barometer_t_ns[barometer],
             pressure_pa=self.pressure_pa[barometer],
         )
+
+
+SERIES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "imu": ("imu_t_ns", "f_s", "omega_s"),
+        "gnss": ("gnss_t_ns", "gnss"),
+        "magnetometer": ("magnetometer_t_ns", "magnetic_s_ut"),
+        "speed": ("speed_t_ns", "speed_mps"),
+        "barometer": ("barometer_t_ns", "pressure_pa"),
+    }
+)
+"""Fields of ``Measurements`` that go together: the times of a series, then its rows."""

@@ -82,3 +82,11 @@ def rotation_vector_from_matrix(c: FloatArray) -> FloatArray:
     q = quaternion_from_matrix(c)
     length = math.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     return np.asarray(q[1:] * (2.0 if length < 1e-9 else 2.0 * math.atan2(length, q[0]) / length))
+
+
+def matrix_from_rotation_vector(vector_rad: FloatArray) -> FloatArray:
+    """(3, 3) matrix exp([v x]) of a rotation vector (3,), rad (Rodrigues)."""
+    angle = float(np.linalg.norm(vector_rad))
+    cross = skew(vector_rad)
+    versed = 0.5 * np.sinc(0.5 * angle / math.pi) ** 2
+    return np.asarray(np.eye(3) + np.sinc(angle / math.pi) * cross + versed * (cross @ cross))

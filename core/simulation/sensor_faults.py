@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from core.earth import STANDARD_GRAVITY_MPS2
-from core.measurements import FloatArray
+from core.measurements import SERIES, FloatArray
 from core.simulation.gnss_faults import Span
-from core.simulation.stream import SERIES, Stream
+from core.simulation.stream import Stream
 
 BoolArray = npt.NDArray[np.bool_]
 

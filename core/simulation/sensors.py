@@ -360,11 +360,16 @@ def _band(n: int, centre_hz: float, width: float, dt_s: float, rng: np.random.Ge
     return np.asarray(lfilter([1.0, 0.0, -1.0], [1.0, a1, a2], rng.standard_normal(n)) / gain)
 
 
-def _convert(signal: FloatArray, triad: TriadErrors, dt_s: float, rng: np.random.Generator) -> FloatArray:
+def with_noise(signal: FloatArray, triad: TriadErrors, dt_s: float, rng: np.random.Generator) -> FloatArray:
+    """A signal (n, 3) with the drift of the triad's bias and its white noise, in the signal's unit."""
     n = signal.shape[0]
     drift = np.column_stack([gauss_markov(n, triad.instability_sd, triad.instability_s, dt_s, rng) for _ in range(3)])
     noise = triad.random_walk / math.sqrt(dt_s) * rng.standard_normal((n, 3))
-    counts = np.clip(np.rint((signal + drift + noise) / triad.step), -32768, 32767)
+    return np.asarray(signal + drift + noise)
+
+
+def _convert(signal: FloatArray, triad: TriadErrors, dt_s: float, rng: np.random.Generator) -> FloatArray:
+    counts = np.clip(np.rint(with_noise(signal, triad, dt_s, rng) / triad.step), -32768, 32767)
     return np.asarray(counts * triad.step)
 
 

@@ -4,24 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from core.measurements import FloatArray, Measurements, TimeArray
-
-SERIES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "imu": ("imu_t_ns", "f_s", "omega_s"),
-        "gnss": ("gnss_t_ns", "gnss"),
-        "magnetometer": ("magnetometer_t_ns", "magnetic_s_ut"),
-        "speed": ("speed_t_ns", "speed_mps"),
-        "barometer": ("barometer_t_ns", "pressure_pa"),
-    }
-)
-"""Fields of ``Measurements`` that go together: the times of a series, then its rows."""
+from core.measurements import SERIES, FloatArray, Measurements, TimeArray
 
 Rows = npt.NDArray[np.intp] | slice
 

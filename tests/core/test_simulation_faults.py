@@ -7,12 +7,12 @@ import pytest
 
 from core.earth import ned_offset_m
 from core.errors import InvalidInputError
-from core.measurements import GNSS
+from core.measurements import GNSS, SERIES
 from core.simulation.faults import FAULTS, Fault, inject
 from core.simulation.gnss_faults import PULL_OFF_S
 from core.simulation.scenarios import simulate
 from core.simulation.sensor_faults import ACCEL_MPS2_PER_K
-from core.simulation.stream import SERIES, Stream
+from core.simulation.stream import Stream
 
 S = 10**9
 FOR_GOOD = ("box_clock", "temperature")

@@ -23,7 +23,7 @@ from core.navigation.filter import Aids, Series
 from core.navigation.mounting import MountingFinder
 from core.past import BodySamples, Past
 from core.rotation import matrix_from_rpy
-from core.sensors import TriadCalibration
+from core.sensors import MagnetometerCalibration, TriadCalibration
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -89,8 +89,19 @@ def valid_samples(t_ns: TimeArray, f_s: FloatArray, omega_s: FloatArray, last_ns
     return keep, late, broken
 
 
+def with_valid_samples(raw: Measurements, last_ns: int, counts: dict[str, int]) -> Measurements:
+    """Without inertial samples that are not later than ``last_ns`` or no sensor's; they are added to ``counts``."""
+    keep, late, broken = valid_samples(raw.imu_t_ns, raw.f_s, raw.omega_s, last_ns)
+    if not (late or broken):
+        return raw
+    for outcome, count in (("rejected_time", late), ("rejected_range", broken)):
+        if count:
+            counts[f"imu.{outcome}"] = counts.get(f"imu.{outcome}", 0) + count
+    return replace(raw, imu_t_ns=raw.imu_t_ns[keep], f_s=raw.f_s[keep], omega_s=raw.omega_s[keep])
+
+
 class Preparation:
-    """Calibration and mounting as one affine map a triad, then validity: in range, and later than all before."""
+    """Calibration and mounting as one affine map a triad: ``accel_map`` and ``gyro_map``, matrix and offset."""
 
     def __init__(
         self,
@@ -98,35 +109,42 @@ class Preparation:
         gyroscope: TriadCalibration,
         mounting: Mounting,
         accel_full_scale_mps2: float,
+        magnetometer: MagnetometerCalibration | None = None,
+        held: HeldAxes | None = None,
     ) -> None:
         self.C_b_from_s = matrix_from_rpy(*mounting.rpy_rad)
-        self._accel = self._map(accelerometer)
-        self._gyro = self._map(gyroscope)
+        self.accel_map = self._map(accelerometer)
+        self.gyro_map = self._map(gyroscope)
+        self._magnetic_map = self._map(MagnetometerCalibration() if magnetometer is None else magnetometer)
         self._full_scale_mps2 = accel_full_scale_mps2
-        self.held = HeldAxes()
+        self.held = HeldAxes() if held is None else held
 
-    def _map(self, calibration: TriadCalibration) -> tuple[FloatArray, FloatArray]:
+    def _map(self, calibration: TriadCalibration | MagnetometerCalibration) -> tuple[FloatArray, FloatArray]:
         offset = calibration.correct(np.zeros((1, 3)))[0]
         matrix = (calibration.correct(np.eye(3)) - offset).T
         return self.C_b_from_s @ matrix, self.C_b_from_s @ offset
 
-    def step(self, raw: Measurements, last_ns: int, counts: dict[str, int]) -> BodySamples:
-        """Calibrated samples later than ``last_ns``; what is left out is added to ``counts``."""
+    def step(self, raw: Measurements) -> BodySamples:
+        """Calibrated samples of valid ones."""
         t_ns, f_s, omega_s = raw.imu_t_ns, raw.f_s, raw.omega_s
-        keep, late, broken = valid_samples(t_ns, f_s, omega_s, last_ns)
-        if late or broken:
-            t_ns, f_s, omega_s = t_ns[keep], f_s[keep], omega_s[keep]
-            for outcome, count in (("rejected_time", late), ("rejected_range", broken)):
-                if count:
-                    counts[f"imu.{outcome}"] = counts.get(f"imu.{outcome}", 0) + count
         full_scale = raw.accel_full_scale_mps2 if math.isnan(self._full_scale_mps2) else self._full_scale_mps2
         limit = math.inf if math.isnan(full_scale) else SATURATION_SHARE * full_scale
-        f_b, omega_b = _affine(f_s, *self._accel), _affine(omega_s, *self._gyro)
+        f_b, omega_b = _affine(f_s, *self.accel_map), _affine(omega_s, *self.gyro_map)
         return BodySamples(t_ns, f_b, omega_b, _saturated(f_s, limit), self.held.step(omega_s))
 
+    def sensed(self, bias_b: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Biases left in b, accelerometer then gyroscope (6,), with those removed already: as the sensors show them,
+        and their sd."""
+        bias, sd = np.empty(6), np.empty(6)
+        for begin, (matrix, offset) in ((0, self.accel_map), (3, self.gyro_map)):
+            part, back = slice(begin, begin + 3), np.linalg.inv(matrix)
+            bias[part] = back @ (bias_b[part] - offset)
+            sd[part] = np.sqrt(np.maximum(np.diag(back @ covariance[part, part] @ back.T), 0.0))
+        return bias, sd
+
     def magnetic_b_ut(self, magnetic_s_ut: FloatArray) -> FloatArray:
-        """Magnetic field (n, 3) turned into body axes."""
-        return _affine(magnetic_s_ut, self.C_b_from_s, np.zeros(3))
+        """Magnetic field (n, 3) without the box's iron, turned into body axes."""
+        return _affine(magnetic_s_ut, *self._magnetic_map)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

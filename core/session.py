@@ -15,19 +15,23 @@ from core.accident.events import Impact, VehicleMotion
 from core.accident.paper_rule import PaperRule
 from core.accident.thresholds import DetectorThresholds
 from core.box_clock import ANEW, LET_GO, STEPPED, BoxClock
+from core.calibration.drift import Biases, BiasUpdate
+from core.calibration.in_force import BoxCalibration, CalibrationInForce, parts_at
 from core.driving.trips import Trip, TripThresholds, TripTracker
 from core.earth import STANDARD_GRAVITY_MPS2, radii_m
+from core.held_axes import HeldAxes
 from core.measurements import Measurements
 from core.navigation import state
 from core.navigation.alignment import next_second_ns
 from core.navigation.filter import Aids, FilterConfig, NavigationFilter
 from core.navigation.kernel import CLIPPED, HELD
+from core.navigation.recalibration import biases
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.navigation.warming import Warming
 from core.past import BodySamples
-from core.preparation import FoundMounting, Mounting, Preparation
+from core.preparation import FoundMounting, Mounting, Preparation, with_valid_samples
 from core.rotation import matrix_from_rpy, rpy_from_matrix
-from core.sensors import TriadCalibration
+from core.sensors import MagnetometerCalibration, TriadCalibration
 from core.snapshot import pack, unpack
 
 SNAPSHOT_VERSION: Final = 3
@@ -80,7 +84,9 @@ class MountingEstimate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outputs:
-    """What one step brought: track rows every 100 ms, accidents, trips begun or changed, and counts.
+    """What one step brought: track rows every 100 ms, accidents, trips begun or changed, counts, and biases.
+
+    ``biases`` are what a trip that has ended made of the calibration's.
 
     ``counts`` names what the step met, such as ``gnss_position.fused``, ``gnss_position.rejected_gate``,
     ``imu.rejected_time``, ``imu.reset``, ``mounting.found``, ``mounting.contradicted``, ``clock.stepped_back``; only
@@ -91,14 +97,23 @@ class Outputs:
     accidents: tuple[Accident, ...]
     trips: tuple[Trip, ...]
     counts: Mapping[str, int]
+    biases: tuple[BiasUpdate, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class SessionConfig:
-    """What is set for a vehicle and does not change while its session runs."""
+    """What is set for a vehicle and does not change while its session runs.
+
+    ``accelerometer``, ``gyroscope`` and ``magnetometer`` hold until the first of ``calibrations``, which come by their
+    ``valid_from_ns``.
+    ``fold_back`` is whether biases that were followed on a trip are kept for the next.
+    """
 
     accelerometer: TriadCalibration = field(default_factory=TriadCalibration)
     gyroscope: TriadCalibration = field(default_factory=TriadCalibration)
+    magnetometer: MagnetometerCalibration = field(default_factory=MagnetometerCalibration)
+    calibrations: tuple[BoxCalibration, ...] = ()
+    fold_back: bool = True
     mounting: Mounting = field(default_factory=Mounting)
     accel_full_scale_mps2: float = math.nan
     filter: FilterConfig = field(default_factory=FilterConfig)
@@ -129,6 +144,10 @@ class Session:
     def __init__(self, config: SessionConfig) -> None:
         self.config = config
         self._clock = BoxClock()
+        given = BoxCalibration(
+            accelerometer=config.accelerometer, gyroscope=config.gyroscope, magnetometer=config.magnetometer
+        )
+        self._in_force = CalibrationInForce((given, *config.calibrations))
         self._begin()
 
     def _begin(self) -> None:
@@ -136,9 +155,7 @@ class Session:
         filter_config = config.filter
         if config.mounting.known and filter_config.mount_angle_sd_rad is None:
             filter_config = replace(filter_config, mount_angle_sd_rad=KNOWN_MOUNTING_SD_RAD)
-        self._preparation = Preparation(
-            config.accelerometer, config.gyroscope, config.mounting, config.accel_full_scale_mps2
-        )
+        self._preparation = self._prepared(self._in_force.calibration)
         self._warming = Warming()
         self._filter = NavigationFilter(filter_config)
         self._mounting = (
@@ -157,42 +174,99 @@ class Session:
         """Take the next measurements. Never raises for what they hold."""
         counts: dict[str, int] = {}
         measurements, happened = self._clock.step(measurements)
-        ended: list[Trip] = []
+        trips: list[Trip] = []
         if happened:
             counts[_CLOCK_COUNTS[happened]] = 1
         if happened == ANEW:
-            ended = self._trips.end()
+            trips = self._trips.end()
             self._begin()
         if len(measurements.imu_t_ns):
             self._warming.step(int(measurements.imu_t_ns[-1]), measurements.temperature_c)
             self._filter.warm(self._warming.rate_kps)
         before = self._filter.counts
-        samples = self._preparation.step(measurements, self._filter.t_ns, counts)
-        aids = self._aids(measurements)
+        valid = with_valid_samples(measurements, self._filter.t_ns, counts)
         tracks: list[Track] = []
         impacts: list[Impact] = []
-        for part, aids_of_part in self._in_body_axes(samples, aids, counts):
-            fused = self._filter.step(part.t_ns, part.f_b, part.omega_b, _unsound(part), aids_of_part)
-            # A constant, so that packets do not matter: gravity differs from it by 0.03 m/s2 at most, and upwards.
-            impacts += self._detector.step(
-                VehicleMotion(
-                    t_ns=part.t_ns,
-                    f_b=part.f_b,
-                    omega_b=part.omega_b,
-                    down_b=fused.epochs[:, :3],
-                    speed_mps=fused.epochs[:, 3],
-                    saturated=part.saturated,
-                    gravity_mps2=STANDARD_GRAVITY_MPS2,
+        updates: list[BiasUpdate] = []
+        cuts = self._in_force.cut(valid.imu_t_ns)
+        for same in parts_at(valid, cuts) if cuts else (valid,):
+            updates += self._calibrate(same)
+            for part, aids in self._in_body_axes(self._preparation.step(same), self._aids(same), counts):
+                fused = self._filter.step(part.t_ns, part.f_b, part.omega_b, _unsound(part), aids)
+                # A constant, so that packets do not matter: gravity differs from it by 0.03 m/s2 at most, and upwards.
+                impacts += self._detector.step(
+                    VehicleMotion(
+                        t_ns=part.t_ns,
+                        f_b=part.f_b,
+                        omega_b=part.omega_b,
+                        down_b=fused.epochs[:, :3],
+                        speed_mps=fused.epochs[:, 3],
+                        saturated=part.saturated,
+                        gravity_mps2=STANDARD_GRAVITY_MPS2,
+                    )
                 )
-            )
-            tracks.append(fused.track)
+                tracks.append(fused.track)
+                for trip in self._trips.step(fused.track, measurements.ignition):
+                    trips.append(trip)
+                    if trip.ended:
+                        self._in_force.follower.trip_ended(trip.end_t_ns)
         track = Track.joined(tracks)
         rows = Track.joined([self._recent, track])
         accidents = tuple(_place(impact, _told_until(rows, impact.decided_t_ns)) for impact in impacts)
         self._recent = _newest(rows, RECENT_S)
-        trips = (*ended, *self._trips.step(track, measurements.ignition))
         self._add_counts(self._filter.counts - before, counts)
-        return Outputs(track, accidents, trips, counts)
+        return Outputs(track, accidents, tuple(trips), counts, tuple(updates))
+
+    def _calibrate(self, measured: Measurements) -> Iterator[BiasUpdate]:
+        """Put in force what holds from the first of these samples on; the update where a trip's end brings one."""
+        in_force, has_samples = self._in_force, len(measured.imu_t_ns) > 0
+        # Before the first sample there may be fields already, of which the box's iron is to be taken.
+        times_ns = measured.imu_t_ns if has_samples or in_force.version >= 0 else measured.magnetometer_t_ns
+        if not len(times_ns):
+            return
+        first_ns = int(times_ns[0])
+        if has_samples and self.config.fold_back and in_force.is_look_due(first_ns):
+            update = in_force.look(first_ns, self._seen_biases(), may_fold=self._filter.aligned)
+            if update is not None:
+                before = self._preparation
+                self._preparation = after = self._prepared(in_force.calibration, before.held)
+                f_b, omega_b = after.accel_map[1] - before.accel_map[1], after.gyro_map[1] - before.gyro_map[1]
+                if self._mounting is not None:
+                    f_b, omega_b = (self._mounting.finder.C_b_from_m @ change for change in (f_b, omega_b))
+                self._filter.shift_biases(f_b, omega_b, *in_force.follower.loosening(update))
+                yield update
+        was = in_force.version
+        if in_force.change(first_ns):
+            self._preparation = self._prepared(in_force.calibration, self._preparation.held)
+            if was >= 0:
+                self._filter.forget_biases()
+
+    def _prepared(self, calibration: BoxCalibration, held: HeldAxes | None = None) -> Preparation:
+        config = self.config
+        return Preparation(
+            calibration.accelerometer,
+            calibration.gyroscope,
+            config.mounting,
+            config.accel_full_scale_mps2,
+            calibration.magnetometer,
+            held,
+        )
+
+    def _seen_biases(self) -> Biases | None:
+        """What the filter says of the biases, as the sensors show them; None unless the vehicle is at rest."""
+        nav = self._filter
+        if not (nav.aligned and nav.ti[state.I_STATIONARY]):
+            return None
+        bias_b, covariance = biases(nav.x, nav.p)
+        if self._mounting is not None:
+            C = np.kron(np.eye(2), self._mounting.finder.C_b_from_m)
+            bias_b, covariance = C.T @ bias_b, C.T @ covariance @ C
+        return Biases(nav.t_ns, *self._preparation.sensed(bias_b, covariance))
+
+    @property
+    def calibration_version(self) -> int:
+        """The version of the calibration in force; -1 before the first sample."""
+        return self._in_force.version
 
     def _in_body_axes(
         self, samples: BodySamples, aids: Aids, counts: dict[str, int]
@@ -273,6 +347,8 @@ class Session:
         if session._detector_stage in parts:  # else the vehicle's detector was changed: it starts anew
             session._detector.load(parts[session._detector_stage])
         session._trips.load(parts["trips"])
+        session._in_force.load(parts["calibration"])
+        session._preparation = session._prepared(session._in_force.calibration)
         session._clock.load(parts["clock"])
         session._preparation.held.load(parts["held"])
         session._warming.load(parts["warming"])
@@ -289,6 +365,7 @@ class Session:
             ("filter", self._filter.arrays()),
             (self._detector_stage, self._detector.state()),
             ("trips", self._trips.state()),
+            ("calibration", self._in_force.arrays()),
             *found,
         ]
 

@@ -8,8 +8,8 @@ from pydantic import BaseModel, Field
 
 from core.accident.events import Severity
 from schemas.geojson import Link, Point
+from schemas.model import VehicleId
 from schemas.times import Time
-from schemas.vehicles import VehicleId
 
 
 class AccidentProperties(BaseModel):

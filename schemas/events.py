@@ -6,9 +6,9 @@ from typing import Any
 
 from pydantic import Field
 
+from schemas.model import Model, VehicleId
 from schemas.notifications import EventType
 from schemas.times import Time
-from schemas.vehicles import Model, VehicleId
 
 
 class FeedEvent(Model):

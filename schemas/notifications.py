@@ -21,16 +21,20 @@ class EventType(StrEnum):
     ACCIDENT_UPDATED = "accident.updated"
     ACCIDENT_RETRACTED = "accident.retracted"
     TRIP_COMPLETED = "trip.completed"
+    CALIBRATION_CHANGED = "calibration.changed"
+    CALIBRATION_DRIFTED = "calibration.drifted"
     SCORE_UPDATED = "score.updated"
     VEHICLE_OFFLINE = "vehicle.offline"
     PING = "ping"
 
 
-class _Body(BaseModel):
+class EventBody(BaseModel):
+    """Base of the ``data`` of events."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class AccidentBody(_Body):
+class AccidentBody(EventBody):
     """Data of ``accident.*``: enough to act on; the evidence is at ``GET /v1/accidents/{accident_id}``."""
 
     accident_id: str
@@ -59,7 +63,7 @@ class AccidentBody(_Body):
     paper_agrees: bool = Field(description="Whether the published fixed-threshold rule finds this accident too")
 
 
-class TripBody(_Body):
+class TripBody(EventBody):
     """Data of ``trip.completed``: what a key without ``positions:read`` may know of a trip."""
 
     trip_id: str
@@ -72,7 +76,31 @@ class TripBody(_Body):
     max_speed_mps: float
 
 
-class PingBody(_Body):
+class CalibrationChangedBody(EventBody):
+    """Data of ``calibration.changed``: somebody gave a vehicle another; ``GET …/calibrations`` has it."""
+
+    vehicle_id: str
+    calibration_version: int
+    origin: str = Field(description="registration, put, or run: accepted from a calibration run")
+    valid_from_ns: int = Field(description="0: ever since")
+    run_id: str | None
+    created_by: str | None = Field(description="Id of the API key")
+
+
+class CalibrationDriftBody(EventBody):
+    """Data of ``calibration.drifted``: on a trip one axis showed another bias than it was known to have."""
+
+    vehicle_id: str
+    calibration_version: int = Field(description="Of the calibration that holds from now on, with the new bias")
+    t_ns: int = Field(description="From when on it holds, UTC")
+    sensor: str = Field(description="accelerometer (m/s²) or gyroscope (rad/s)")
+    axis: str = Field(description="x, y or z of the sensor")
+    was: float
+    is_: float = Field(serialization_alias="is")
+    sd: float = Field(description="Standard deviation of the difference")
+
+
+class PingBody(EventBody):
     """Data of ``ping``."""
 
     endpoint_id: str

@@ -7,8 +7,8 @@ from typing import Literal
 from pydantic import BaseModel, Field
 
 from schemas.geojson import LineString, Point
+from schemas.model import Model, VehicleId
 from schemas.times import Time
-from schemas.vehicles import Model, VehicleId
 
 
 class Place(Model):

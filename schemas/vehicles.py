@@ -2,52 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal, TypeVar
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import Field
 
+from schemas.calibration import Calibration
+from schemas.model import Model, NotNegative, PerAxis, VehicleId
 from schemas.times import Time
 
-VEHICLE_ID_PATTERN: Final = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}$"
-"""``schemas.keys.is_name`` as a pattern, for the OpenAPI document; a test holds the two together."""
-
-VehicleId = Annotated[str, StringConstraints(pattern=VEHICLE_ID_PATTERN)]
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Gain = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
 Metres = Annotated[float, Field(ge=-50, le=50, allow_inf_nan=False)]
 AngleDeg = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
-
-
-class Model(BaseModel):
-    """Base of what callers send and get: strict about unknown fields, immutable."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SensorCalibration(Model):
-    """The nine parameters of a triad: measured = diag(scale) · M · true + bias.
-
-    M is unit upper triangular with rows (1, −Mz, My), (0, 1, −Mx), (0, 0, 1).
-    """
-
-    scale: tuple[Gain, Gain, Gain] = Field(default=(1.0, 1.0, 1.0), description="Measured over true, each axis.")
-    misalignment: tuple[Finite, Finite, Finite] = Field(default=(0.0, 0.0, 0.0), description="Mx, My, Mz, rad.")
-    bias: tuple[Finite, Finite, Finite] = Field(
-        default=(0.0, 0.0, 0.0), description="Offset of each axis, sensor units."
-    )
-
-
-class Calibration(Model):
-    """What is known of the box's sensors."""
-
-    accelerometer: SensorCalibration | None = Field(default=None, description="Bias in m/s².")
-    gyroscope: SensorCalibration | None = Field(default=None, description="Bias in rad/s.")
-
-
-_Figure = TypeVar("_Figure")
-PerAxis = tuple[_Figure, _Figure, _Figure]
-"""The sensor's x, y, z."""
 
 # Each limit is some five times the worst sensor that a box has, and below what a figure in deg, hours or g would be.
 AccelDensity = Annotated[float, Field(gt=0, le=0.05, allow_inf_nan=False)]
@@ -59,7 +23,6 @@ GyroInstability = Annotated[float, Field(ge=0, le=0.01, allow_inf_nan=False)]
 GyroWalk = Annotated[float, Field(ge=0, le=0.001, allow_inf_nan=False)]
 GyroBias = Annotated[float, Field(gt=0, le=0.2, allow_inf_nan=False)]
 
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Interval = tuple[NotNegative, NotNegative]
 
 
@@ -69,6 +32,7 @@ class NoiseIntervals(Model):
     random_walk: PerAxis[Interval] | None = None
     bias_instability: PerAxis[Interval] | None = None
     rate_random_walk: PerAxis[Interval] | None = None
+    floor: PerAxis[Interval] | None = None
 
 
 class AccelerometerNoise(Model):
@@ -78,11 +42,14 @@ class AccelerometerNoise(Model):
         default=None, description="White noise (velocity random walk), m/s²/√Hz = m/s/√s; 100 µg/√Hz is 0.00098."
     )
     bias_instability: PerAxis[AccelInstability] | None = Field(
-        default=None, description="Flicker: floor of the Allan deviation over 0.664, m/s²."
+        default=None, description="Flicker: its floor of the Allan deviation over 0.664, m/s²."
     )
     rate_random_walk: PerAxis[AccelWalk] | None = Field(default=None, description="Walk of the bias, m/s²/√s.")
     turn_on_bias_sd: PerAxis[AccelBias] | None = Field(
         default=None, description="Spread of the bias from one turn-on to the next, after calibration, m/s²."
+    )
+    floor: PerAxis[NotNegative] | None = Field(
+        default=None, description="Smallest Allan deviation, m/s²: flicker and both walks together; told, not used."
     )
     interval95: NoiseIntervals | None = None
 
@@ -94,13 +61,24 @@ class GyroscopeNoise(Model):
         default=None, description="White noise (angle random walk), rad/s/√Hz = rad/√s; 0.3 °/√h is 0.000087."
     )
     bias_instability: PerAxis[GyroInstability] | None = Field(
-        default=None, description="Flicker: floor of the Allan deviation over 0.664, rad/s; 10 °/h is 0.000048."
+        default=None, description="Flicker: its floor of the Allan deviation over 0.664, rad/s; 10 °/h is 0.000048."
     )
     rate_random_walk: PerAxis[GyroWalk] | None = Field(default=None, description="Walk of the bias, rad/s/√s.")
     turn_on_bias_sd: PerAxis[GyroBias] | None = Field(
         default=None, description="Spread of the bias from one turn-on to the next, after calibration, rad/s."
     )
+    floor: PerAxis[NotNegative] | None = Field(
+        default=None, description="Smallest Allan deviation, rad/s: flicker and both walks together; told, not used."
+    )
     interval95: NoiseIntervals | None = None
+
+
+class NoiseRecording(Model):
+    """The rest from which noise was measured."""
+
+    duration_s: NotNegative
+    rate_hz: NotNegative
+    warnings: tuple[str, ...] = Field(default=(), description="What to know before the figures are believed.")
 
 
 class SensorNoise(Model):
@@ -108,6 +86,7 @@ class SensorNoise(Model):
 
     accelerometer: AccelerometerNoise | None = None
     gyroscope: GyroscopeNoise | None = None
+    recording: NoiseRecording | None = None
 
 
 class VehicleConfig(Model):
@@ -134,17 +113,30 @@ class VehicleConfig(Model):
     )
     vehicle_class: Literal["car", "motorcycle", "van", "truck", "bus"] = "car"
     detector: Literal["telefuse", "paper"] = Field(default="telefuse", description="Which accident detector decides.")
-    calibration: Calibration | None = None
     noise: SensorNoise | None = Field(
         default=None,
         description="Noise of the inertial sensors at rest; the filter adds what a moving car does to them.",
     )
 
 
+class GivenConfig(VehicleConfig):
+    """Settings as they are sent: a calibration may come along, and is kept where all calibrations are."""
+
+    calibration: Calibration | None = Field(
+        default=None,
+        description="Put as PUT …/calibration would, where it is another than the last; the first one holds for all "
+        "packets. Left out, calibrations stay as they are.",
+    )
+
+    def settings(self) -> VehicleConfig:
+        """What of it is kept with the vehicle."""
+        return VehicleConfig.model_validate(self.model_dump(exclude={"calibration"}))
+
+
 class VehicleUpdate(Model):
     """What registers or changes a vehicle; a field that is left out has its default afterwards."""
 
-    config: VehicleConfig = VehicleConfig()
+    config: GivenConfig = GivenConfig()
 
 
 class Vehicle(Model):

@@ -6,9 +6,9 @@ from typing import Annotated, Final, Literal
 
 from pydantic import AfterValidator, Field, StringConstraints
 
+from schemas.model import Model
 from schemas.notifications import EventType
 from schemas.times import Time
-from schemas.vehicles import Model
 
 MAX_URL_LENGTH: Final = 2048
 MAX_DESCRIPTION_LENGTH: Final = 500

@@ -10,7 +10,18 @@ from typing import Any
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
-from service.api import accidents, docs, events, health, problems, trips, vehicles, webhook_endpoints
+from service.api import (
+    accidents,
+    calibration_runs,
+    calibrations,
+    docs,
+    events,
+    health,
+    problems,
+    trips,
+    vehicles,
+    webhook_endpoints,
+)
 from service.api.middleware import BodyLimit, RequestContext
 from service.api.openapi import document
 from service.api.security import Authenticator
@@ -58,7 +69,7 @@ def create_app(settings: Settings, runtime: Runtime | None = None) -> FastAPI:
     problems.install(app)
 
     v1 = APIRouter(prefix="/v1")
-    for module in (vehicles, trips, accidents, events, webhook_endpoints):
+    for module in (vehicles, calibrations, calibration_runs, trips, accidents, events, webhook_endpoints):
         v1.include_router(module.router)
     app.include_router(v1)
     app.include_router(health.router)

@@ -99,6 +99,13 @@ class TooLargeError(ServiceError):
     status = 413
 
 
+class UnsupportedMediaTypeError(ServiceError):
+    """The body is of a kind that is not taken here."""
+
+    code = "unsupported_media_type"
+    status = 415
+
+
 class IdempotencyError(ServiceError):
     """An idempotency key was used again for another request."""
 

@@ -14,9 +14,12 @@ from typing import Any, Final
 from sqlalchemy import Engine as Database
 from sqlalchemy.exc import SQLAlchemyError
 
+from service.calibrations.files import RunFiles
+from service.calibrations.worker import CalibrationWorker
 from service.engine import checkpoints
 from service.engine.sessions import warm_up
 from service.engine.shard import EngineConfig
+from service.engine.telling import cloud_event
 from service.engine.worker import Engine
 from service.ingest.journal import Journal
 from service.ingest.receiver import Receiver
@@ -27,6 +30,7 @@ from service.storage import retention, schema
 from service.storage.database import open_database, read
 from service.storage.holding import hold_database
 from service.storage.vehicles import VehicleDirectory, VehicleRef
+from service.webhooks.outbox import NewEvent
 from service.webhooks.sender import Sender
 
 logger = logging.getLogger(__name__)
@@ -52,6 +56,8 @@ class Runtime:
     journal: Journal
     receiver: Receiver
     sender: Sender
+    run_files: RunFiles
+    calibrating: CalibrationWorker
     zenoh: ZenohIngest
     _sending: asyncio.Task[None]
 
@@ -120,6 +126,10 @@ class Runtime:
         await in_thread(self.zenoh.start)
         at_stop(self.zenoh.stop)
         at_stop(partial(self.engine.drain, DRAIN_S))
+        self.run_files = RunFiles(settings.data_dir)
+        self.calibrating = CalibrationWorker(self.database, self.run_files)
+        self.calibrating.start()
+        at_stop(self.calibrating.stop)
         # Nothing is taken before this line, and nothing after its stop; what comes is refused to be sent again.
         self.journal.start()
         at_stop(self.journal.stop)
@@ -146,6 +156,10 @@ class Runtime:
         with read(self.database) as connection:
             return {lag.vehicle_pk for lag in checkpoints.lagging(connection)} | checkpoints.holding(connection)
 
+    def tell(self, ref: VehicleRef, event: NewEvent) -> None:
+        """Have an event go out that was stored; after the commit."""
+        self._on_event(ref, cloud_event(ref, event))
+
     def _on_event(self, ref: VehicleRef, event: Mapping[str, Any]) -> None:
         self.sender.notify()
         self.zenoh.publish_event(ref, event)
@@ -162,9 +176,14 @@ class Runtime:
                     track_days=settings.retention_track_days,
                     events_days=settings.retention_events_days,
                 )
+                files = await asyncio.to_thread(
+                    self.run_files.sweep, self.database, time.time_ns(), settings.retention_recordings_days
+                )
+                if files:
+                    logger.info("removed %d files of calibration runs", files)
                 if any(asdict(removed).values()):
                     logger.info("removed what is older than it is kept", extra={"fields": asdict(removed)})
-            except SQLAlchemyError as error:
+            except (SQLAlchemyError, OSError) as error:
                 logger.warning("what is too old could not be removed and is tried again in an hour: %s", error)
             await asyncio.sleep(PRUNE_EVERY_S)
 

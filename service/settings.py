@@ -105,6 +105,16 @@ class Settings(BaseSettings):
         default=90, ge=0, description="Days that events and their deliveries can be read again; 0 is for ever."
     )
 
+    retention_recordings_days: int = Field(
+        default=30,
+        ge=0,
+        description="Days that an uploaded calibration recording is kept once it was used; 0 is for ever. Results and "
+        "reports stay with the vehicle.",
+    )
+    max_recording_mib: int = Field(
+        default=256, ge=1, le=4096, description="Largest calibration recording that is taken, MiB, unpacked."
+    )
+
     log_level: Literal["debug", "info", "warning", "error"] = Field(
         default="info", description="The least important messages that are logged."
     )

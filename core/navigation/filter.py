@@ -28,6 +28,7 @@ from core.navigation.alignment import SECOND_NS, Aligner, InitialState, Start, n
 from core.navigation.lateness import Recent
 from core.navigation.nodes import NODE_WIDTH
 from core.navigation.pending import Pending, pending
+from core.navigation.recalibration import forget_biases, loosen_biases, shift_biases
 from core.navigation.recorder import Recorder
 from core.navigation.records import RECORD_COLUMNS, AidRecords
 from core.navigation.starting import begin
@@ -456,6 +457,25 @@ class NavigationFilter:
         self._recent.begin(self.x, self.ti, self.p)
         if self.recorder is not None:
             self.recorder.starts_ns.append(found.t_ns)
+
+    # Other calibrations
+
+    def shift_biases(self, f_b: FloatArray, omega_b: FloatArray, accel_sd_mps2: float, gyro_sd_radps: float) -> None:
+        """Go on with samples that show this much more of the same motion, less sure of their biases.
+
+        Aids that are late by then are refused.
+        """
+        shift_biases(self.x, self.ti, f_b, omega_b)
+        loosen_biases(self.p, accel_sd_mps2, gyro_sd_radps)
+        self._recent.begin(self.x, self.ti, self.p)
+
+    def forget_biases(self) -> None:
+        """Go on with samples of another calibration: what was learnt of biases is not of its."""
+        self._known[0] = False
+        self._aligner.forget()
+        if self.aligned:
+            forget_biases(self.x, self.p, self.config.tuning)
+            self._recent.begin(self.x, self.ti, self.p)
 
     # Snapshots
 

@@ -11,8 +11,8 @@ from core.accident.events import Severity
 from schemas import geojson
 from schemas.accidents import AccidentCollection, AccidentFeature
 from schemas.geojson import GEOJSON_MEDIA_TYPE
+from schemas.model import VehicleId
 from schemas.notifications import rfc3339
-from schemas.vehicles import VehicleId
 from service.api.conditional import answer
 from service.api.dependencies import ID_PATTERN, Database
 from service.api.pagination import Page, encode_cursor, link_next

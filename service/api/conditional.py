@@ -39,7 +39,18 @@ def answer(
     headers: Mapping[str, str] | None = None,
 ) -> Response:
     """The response with its ETag, or 304 without a body where the caller has it already."""
-    content = to_json(body)
+    return answer_content(request, to_json(body), status=status, media_type=media_type, headers=headers)
+
+
+def answer_content(
+    request: Request,
+    content: bytes,
+    *,
+    media_type: str,
+    status: int = 200,
+    headers: Mapping[str, str] | None = None,
+) -> Response:
+    """The same of a body that is no JSON."""
     tag = etag_of(content)
     # What a key may see is that key's: shared caches keep out, one's own asks each time.
     all_headers = {"ETag": tag, "Cache-Control": "private, no-cache", "Vary": "Authorization", **(headers or {})}

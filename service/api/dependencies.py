@@ -7,7 +7,7 @@ from typing import Annotated, Final
 from fastapi import Depends, Path, Request
 from sqlalchemy import Connection, Engine
 
-from schemas.vehicles import VehicleId
+from schemas.model import VehicleId
 from service.errors import NotFoundError
 from service.storage import vehicles
 from service.storage.vehicles import VehicleDirectory, VehicleRow

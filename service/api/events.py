@@ -24,6 +24,8 @@ SCOPE_OF: Final[Mapping[EventType, str]] = {
     EventType.ACCIDENT_UPDATED: "accidents:read",
     EventType.ACCIDENT_RETRACTED: "accidents:read",
     EventType.TRIP_COMPLETED: "vehicles:read",
+    EventType.CALIBRATION_CHANGED: "vehicles:read",
+    EventType.CALIBRATION_DRIFTED: "vehicles:read",
     EventType.VEHICLE_OFFLINE: "vehicles:read",
     EventType.SCORE_UPDATED: "scores:read",
 }

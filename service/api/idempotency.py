@@ -49,21 +49,19 @@ class Once:
         return Response(stored.body, stored.status, {**stored.headers, "Idempotency-Replayed": "true"})
 
 
-async def once(
-    request: Request,
-    caller: Caller,
-    engine: Database,
-    idempotency_key: Annotated[
-        str | None,
-        Header(
-            min_length=1,
-            max_length=255,
-            pattern=r"^[\x21-\x7e]+$",
-            description="Any text of the caller's, new for each new request: repeated within 24 hours, the request "
-            "gets the first answer again and nothing is made twice.",
-        ),
-    ] = None,
-) -> Once:
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        min_length=1,
+        max_length=255,
+        pattern=r"^[\x21-\x7e]+$",
+        description="Any text of the caller's, new for each new request: repeated within 24 hours, the request "
+        "gets the first answer again and nothing is made twice.",
+    ),
+]
+
+
+async def once(request: Request, caller: Caller, engine: Database, idempotency_key: IdempotencyKey = None) -> Once:
     """Dependency for an endpoint that creates something by POST."""
     digest = hashlib.sha256()
     for part in (request.method, request.url.path, request.url.query):

@@ -20,6 +20,8 @@ MAX_BODY_BYTES: Final = 1 << 20
 
 TELEMETRY: Final = "/telemetry"
 """How the paths end to which packets are sent."""
+STREAMED: Final = (TELEMETRY, "/calibration-runs")
+"""Likewise of all that read their bodies themselves, as they come, and bound them."""
 
 SECURITY_HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
@@ -108,7 +110,7 @@ class BodyLimit:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
-        if scope["type"] != "http" or scope["path"].endswith(TELEMETRY):
+        if scope["type"] != "http" or scope["path"].endswith(STREAMED):
             await self._app(scope, receive, send)
             return
         try:

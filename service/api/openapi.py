@@ -27,6 +27,7 @@ has changed. Times are RFC 3339, UTC.
 TAGS: Final = [
     {"name": "telemetry", "description": "Packets from black boxes"},
     {"name": "vehicles", "description": "Register, look, follow"},
+    {"name": "calibration", "description": "What is known of a box's sensors, and finding it from a recording"},
     {"name": "trips", "description": "Trips and tracks"},
     {"name": "accidents", "description": "Accidents with their places"},
     {"name": "events", "description": "What happened, to be caught up with"},

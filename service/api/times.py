@@ -17,6 +17,11 @@ FromTime = Annotated[
     str | None, Query(alias="from", description="From this time on, RFC 3339.", json_schema_extra=_TIME)
 ]
 ToTime = Annotated[str | None, Query(alias="to", description="Up to this time, RFC 3339.", json_schema_extra=_TIME)]
+AtTime = Annotated[str | None, Query(alias="at", description="As of this time, RFC 3339.", json_schema_extra=_TIME)]
+ValidFrom = Annotated[
+    str | None,
+    Query(description="From this time on, RFC 3339; left out, from now on.", json_schema_extra=_TIME),
+]
 
 
 def time_ns(name: str, text: str | None) -> int | None:

@@ -1,9 +1,11 @@
-"""Vehicles: register, look, change, remove; their latest state and their calibration."""
+"""Vehicles: register, look, change, remove; their latest state."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any, Final, Literal, cast
 
 from fastapi import APIRouter, Depends, Request, Response
@@ -12,21 +14,21 @@ from core.navigation.track import Mode
 from schemas.keys import zenoh_prefix
 from schemas.problem import Problem
 from schemas.vehicles import (
-    Calibration,
     FusedState,
     LastPacket,
     ListedVehicle,
     Vehicle,
-    VehicleConfig,
     VehicleList,
     VehicleState,
     VehicleUpdate,
 )
 from service.api.conditional import IfMatch, IfNoneMatch, answer, check_preconditions
-from service.api.dependencies import Database, Directory, VehiclePath, no_vehicle, the_vehicle
+from service.api.dependencies import Database, Directory, VehiclePath, the_vehicle
 from service.api.pagination import Page, encode_cursor, link_next
 from service.api.security import Principal, require
-from service.storage import retention, tenants, trips, vehicles
+from service.calibrations import giving
+from service.storage import calibration_runs, retention, tenants, trips, vehicles
+from service.storage.calibrations import EVER_NS, NONE_GIVEN, NewCalibration
 from service.storage.database import read, write
 from service.storage.trips import TrackRow
 from service.storage.vehicles import VehicleRow
@@ -76,8 +78,18 @@ def put_vehicle(
         tenants.lock(connection, caller.tenant_id)
         before = vehicles.find(connection, caller.tenant_id, vehicle_id)
         check_preconditions(None if before is None else _vehicle(before), if_match, if_none_match)
-        row = vehicles.put(connection, caller.tenant_id, vehicle_id, update.config)
+        row = vehicles.put(connection, caller.tenant_id, vehicle_id, update.config.settings())
+        given = update.config.calibration
+        earlier = [one for one in row.ref.calibrations if one.version != NONE_GIVEN]
+        changed = None
+        if given is not None and (not earlier or given != earlier[-1].calibration):
+            from_ns, origin = (time.time_ns(), "put") if earlier else (EVER_NS, "registration")
+            new = NewCalibration(given, from_ns, origin, created_by=caller.key_id)
+            changed = giving.give(connection, row.ref, new)
+            row = replace(row, ref=changed.ref)
     directory.changed(row.ref)
+    if changed is not None:
+        request.app.state.runtime.tell(row.ref, changed.event)
     if before is not None:
         return answer(request, _vehicle(row))
     return answer(request, _vehicle(row), status=201, headers={"Location": request.url.path})
@@ -92,12 +104,17 @@ def get_vehicle(request: Request, vehicle_id: VehiclePath, caller: Reader, engin
 
 
 @router.delete("/vehicles/{vehicle_id}", status_code=204)
-def delete_vehicle(vehicle_id: VehiclePath, caller: Writer, engine: Database, directory: Directory) -> Response:
-    """Remove a vehicle and everything that is stored about it: packets, track, trips, accidents, events."""
+def delete_vehicle(
+    request: Request, vehicle_id: VehiclePath, caller: Writer, engine: Database, directory: Directory
+) -> Response:
+    """Remove a vehicle and everything that is stored about it: packets, track, trips, accidents, events,
+    calibrations and their recordings."""
     with read(engine) as connection:
         row = the_vehicle(connection, caller.tenant_id, vehicle_id)
+        run_ids = calibration_runs.ids_of(connection, row.ref.pk)
     retention.erase_history(engine, row.ref.pk)
     directory.remove(caller.tenant_id, vehicle_id)
+    request.app.state.runtime.run_files.erase(run_ids)
     return Response(status_code=204)
 
 
@@ -127,34 +144,6 @@ def get_state(request: Request, vehicle_id: VehiclePath, caller: Reader, engine:
         fused=None if position is None else _fused(position),
     )
     return answer(request, body)
-
-
-@router.get("/vehicles/{vehicle_id}/calibration", response_model=Calibration)
-def get_calibration(request: Request, vehicle_id: VehiclePath, caller: Reader, engine: Database) -> Response:
-    """What is known of the box's sensors; null for a sensor that was never calibrated."""
-    with read(engine) as connection:
-        row = the_vehicle(connection, caller.tenant_id, vehicle_id)
-    return answer(request, row.ref.config.calibration or Calibration())
-
-
-@router.put("/vehicles/{vehicle_id}/calibration", response_model=Calibration, responses=PRECONDITION)
-def put_calibration(
-    request: Request,
-    vehicle_id: VehiclePath,
-    calibration: Calibration,
-    caller: Writer,
-    directory: Directory,
-    if_match: IfMatch = None,
-) -> Response:
-    """Put the calibration of the box's sensors into the vehicle's settings."""
-
-    def change(config: VehicleConfig) -> VehicleConfig:
-        check_preconditions(config.calibration or Calibration(), if_match, None)
-        return config.model_copy(update={"calibration": calibration})
-
-    if directory.update(caller.tenant_id, vehicle_id, change) is None:
-        raise no_vehicle(vehicle_id)
-    return answer(request, calibration)
 
 
 def _vehicle(row: VehicleRow) -> Vehicle:

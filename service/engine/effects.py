@@ -9,20 +9,25 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter
+from collections.abc import Iterator
 from typing import Any, Final
 from uuid import UUID, uuid5
 
 import numpy as np
 from sqlalchemy import Connection, and_, not_, or_, select, update
 
+from core.calibration.drift import BiasUpdate
 from core.driving.trips import Trip
 from core.navigation.track import TRACK, Mode, Track
 from core.navigation.tuning import Tuning
 from core.session import Accident, Outputs
-from schemas.notifications import AccidentBody, EventType, TripBody
+from schemas.calibration import Calibration
+from schemas.notifications import AccidentBody, CalibrationDriftBody, EventBody, EventType, TripBody
 from service.engine import checkpoints
 from service.engine.checkpoints import Checkpoint
+from service.engine.sessions import learnt_calibration
 from service.ingest.journal_rows import JournalEntry
+from service.storage import calibrations
 from service.storage.statements import insert_into
 from service.storage.tables import accidents, track_points, trips, vehicles
 from service.storage.vehicles import VehicleRef
@@ -64,6 +69,7 @@ class Effects:
         self.packets = 0
         self.counts: Counter[str] = Counter()
         self.accidents: list[tuple[Accident, int]] = []
+        self.biases: list[tuple[BiasUpdate, int]] = []
         self.checkpoint: Checkpoint | None = None
         self.latest: dict[str, Any] | None = None
         self._track_interval_ns = track_interval_ns
@@ -79,12 +85,18 @@ class Effects:
         self._add_track(outputs.track)
         for trip in outputs.trips:
             self._trips[trip.start_t_ns] = (trip, packet.received_ns)
+        self.biases += [(learnt, packet.received_ns) for learnt in outputs.biases]
         for accident in outputs.accidents:
             self.accidents.append((accident, packet.received_ns))
             if not math.isfinite(accident.lat_rad):
                 # A box that never had a fix: it is told all the same, and an operator must see it.
                 self.counts["accident.no_position"] += 1
                 logger.error("vehicle %s: an impact at %d ns has no place", self.ref.vehicle_id, accident.impact.t_ns)
+
+    @property
+    def must_be_kept(self) -> bool:
+        """Whether the session's state must be stored with this, so that what it was told is not left without."""
+        return bool(self.accidents or self.biases)
 
     def store(self, connection: Connection, stored_ns: int) -> list[NewEvent]:
         """Write everything in the caller's transaction; returns the events that were not there before."""
@@ -95,6 +107,8 @@ class Effects:
             self._store_trip(connection, trip)
         new = [self._store_accident(connection, *found, stored_ns) for found in self.accidents]
         new += [self._trip_completed(*ended) for ended in self._trips.values() if ended[0].ended]
+        for learnt in self.biases:
+            new += self._store_biases(connection, *learnt, stored_ns)
         told = [event for event in new if outbox.publish(connection, event, stored_ns)]
         if self._last_seen_ns:
             connection.execute(
@@ -249,9 +263,36 @@ class Effects:
         )
         return self._event(EventType.TRIP_COMPLETED, body.trip_id, trip.end_t_ns, received_ns, body)
 
-    def _event(
-        self, kind: EventType, about: str, t_ns: int, received_ns: int, body: AccidentBody | TripBody
-    ) -> NewEvent:
+    def _store_biases(
+        self, connection: Connection, learnt: BiasUpdate, received_ns: int, stored_ns: int
+    ) -> Iterator[NewEvent]:
+        t_ns = learnt.biases.t_ns
+        calibration_id = stable_id(self.ref, t_ns, "calibration")
+        base = {one.version: one.calibration for one in self.ref.calibrations}.get(learnt.version, Calibration())
+        version = calibrations.add_learnt(
+            connection,
+            self.ref.pk,
+            calibration_id,
+            base=learnt.version,
+            valid_from_ns=t_ns,
+            stored_ns=stored_ns,
+            calibration=learnt_calibration(base, learnt.biases),
+        )
+        for drift in learnt.drifts:
+            body = CalibrationDriftBody(
+                vehicle_id=self.ref.vehicle_id,
+                calibration_version=version,
+                t_ns=t_ns,
+                sensor=drift.sensor,
+                axis=drift.axis,
+                was=drift.was,
+                is_=drift.is_,
+                sd=drift.sd,
+            )
+            about = f"{calibration_id}/{drift.sensor}/{drift.axis}"
+            yield self._event(EventType.CALIBRATION_DRIFTED, about, t_ns, received_ns, body)
+
+    def _event(self, kind: EventType, about: str, t_ns: int, received_ns: int, body: EventBody) -> NewEvent:
         return NewEvent(
             id=str(uuid5(NAMESPACE, f"{about}/{kind.value}")),
             tenant_id=self.ref.tenant_id,
@@ -259,7 +300,7 @@ class Effects:
             type=kind.value,
             t_ns=t_ns,
             received_ns=received_ns,
-            body=body.model_dump(),
+            body=body.model_dump(by_alias=True),
         )
 
 

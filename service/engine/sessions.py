@@ -3,33 +3,39 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import product
 from typing import Final, Literal
 
 import numpy as np
 
+from core.calibration.drift import Biases, DriftThresholds
+from core.calibration.in_force import NO_SPREAD, BoxCalibration
 from core.measurements import GNSS, GNSS_COLUMNS, Measurements
 from core.navigation.filter import FilterConfig
 from core.navigation.sensor_noise import matched_tuning
 from core.navigation.tuning import Tuning
 from core.preparation import Mounting
-from core.sensors import TriadCalibration, TriadNoise
+from core.sensors import MagnetometerCalibration, TriadCalibration, TriadNoise, Triple
 from core.session import Session, SessionConfig
-from schemas.vehicles import AccelerometerNoise, GyroscopeNoise, SensorCalibration, SensorNoise, VehicleConfig
+from schemas.calibration import Calibration, GyroscopeCalibration, SensorCalibration, TriadSd
+from schemas.calibration import MagnetometerCalibration as MagnetometerForm
+from schemas.vehicles import AccelerometerNoise, GyroscopeNoise, SensorNoise, VehicleConfig
+from service.storage.calibrations import GivenCalibration
 
 DETECTORS: Final[tuple[Literal["telefuse", "paper"], ...]] = ("telefuse", "paper")
 EARTH_RADIUS_M: Final = 6.37e6
+NO_ALIGNMENT: Final[Triple] = (0.0, 0.0, 0.0)
+"""The accelerometers' axes are the box's."""
 FULL_SCALE_MPS2: Final = 2 * 9.8
 """Close enough for the made-up drive of ``warm_up``."""
 
 
-def session_config(config: VehicleConfig) -> SessionConfig:
-    """A vehicle's settings in the units of the core."""
-    calibration = config.calibration
+def session_config(config: VehicleConfig, calibrations: Sequence[GivenCalibration] = ()) -> SessionConfig:
+    """A vehicle's settings and calibrations in the units of the core."""
     full_scale_mps2 = config.accel_full_scale_mps2
     return SessionConfig(
-        accelerometer=_triad(None if calibration is None else calibration.accelerometer),
-        gyroscope=_triad(None if calibration is None else calibration.gyroscope),
+        calibrations=tuple(box_calibration(one) for one in calibrations),
         mounting=_mounting(config.mounting_rpy_deg),
         accel_full_scale_mps2=math.nan if full_scale_mps2 is None else full_scale_mps2,
         filter=FilterConfig(
@@ -42,9 +48,9 @@ def session_config(config: VehicleConfig) -> SessionConfig:
     )
 
 
-def open_session(config: VehicleConfig, snapshot: bytes | None) -> Session:
+def open_session(config: VehicleConfig, calibrations: Sequence[GivenCalibration], snapshot: bytes | None) -> Session:
     """A new session, or one that goes on from a snapshot; raises SnapshotError."""
-    settings = session_config(config)
+    settings = session_config(config, calibrations)
     return Session(settings) if snapshot is None else Session.restore(settings, snapshot)
 
 
@@ -81,10 +87,65 @@ def warm_up() -> None:
         Session.restore(config, session.snapshot())
 
 
+def box_calibration(given: GivenCalibration) -> BoxCalibration:
+    """A version in the units of the core."""
+    calibration, learnt = given.calibration, given.learnt
+    accelerometer, gyroscope = calibration.accelerometer, calibration.gyroscope
+    return BoxCalibration(
+        version=given.version,
+        valid_from_ns=given.valid_from_ns,
+        accelerometer=_triad(accelerometer),
+        gyroscope=_triad(gyroscope),
+        accelerometer_bias_sd=_bias_sd(accelerometer, DriftThresholds().accel_unknown_sd_mps2),
+        gyroscope_bias_sd=_bias_sd(gyroscope, DriftThresholds().gyro_unknown_sd_radps),
+        learnt=None if learnt is None else _biases(learnt.valid_from_ns, learnt.calibration),
+        magnetometer=_iron(calibration.magnetometer),
+    )
+
+
 def _triad(calibration: SensorCalibration | None) -> TriadCalibration:
     if calibration is None:
         return TriadCalibration()
-    return TriadCalibration(calibration.scale, calibration.misalignment, calibration.bias)
+    alignment = calibration.alignment if isinstance(calibration, GyroscopeCalibration) else NO_ALIGNMENT
+    return TriadCalibration(calibration.scale, calibration.misalignment, calibration.bias, alignment)
+
+
+def _iron(calibration: MagnetometerForm | None) -> MagnetometerCalibration:
+    if calibration is None:
+        return MagnetometerCalibration()
+    return MagnetometerCalibration(calibration.hard_iron, calibration.soft_iron)
+
+
+def _bias_sd(calibration: SensorCalibration | None, unstated: float) -> Triple:
+    """NaN where the sensor was never calibrated."""
+    if calibration is None:
+        return NO_SPREAD
+    stated = None if calibration.sd is None else calibration.sd.bias
+    return (unstated, unstated, unstated) if stated is None else stated
+
+
+def _biases(t_ns: int, calibration: Calibration) -> Biases:
+    """What a trip left, as ``learnt_calibration`` wrote it."""
+    both = (calibration.accelerometer, calibration.gyroscope)
+    return Biases(
+        t_ns,
+        np.concatenate([np.array(_triad(one).bias) for one in both]),
+        np.concatenate([np.array(_bias_sd(one, math.nan)) for one in both]),
+    )
+
+
+def learnt_calibration(base: Calibration, biases: Biases) -> Calibration:
+    """``base`` with the biases that a trip left, of those sensors of which anything is known."""
+    unknown = DriftThresholds().of("unknown")
+    sd = np.where(np.isfinite(biases.sd), biases.sd, unknown)
+    changed: dict[str, SensorCalibration] = {}
+    for place, name, form in ((0, "accelerometer", SensorCalibration), (3, "gyroscope", GyroscopeCalibration)):
+        axes = slice(place, place + 3)
+        if np.isfinite(biases.sd[axes]).any():
+            known = getattr(base, name) or form()
+            spread = (known.sd or TriadSd()).model_copy(update={"bias": tuple(sd[axes].tolist())})
+            changed[name] = known.model_copy(update={"bias": tuple(biases.bias[axes].tolist()), "sd": spread})
+    return base.model_copy(update=changed)
 
 
 def _tuning(noise: SensorNoise | None) -> Tuning:

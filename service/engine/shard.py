@@ -186,7 +186,7 @@ class Shard(threading.Thread):
             if is_new and entries:
                 entries = [*self._between(vehicle, entries[0].journal_id), *entries]
             vehicle.fold(entries, self._load, effects)
-            if effects.accidents or vehicle.is_due(round(self._config.checkpoint_interval_s * 1e9), time.time_ns()):
+            if effects.must_be_kept or vehicle.is_due(round(self._config.checkpoint_interval_s * 1e9), time.time_ns()):
                 effects.checkpoint = vehicle.checkpoint()
         except _StoppedError:
             raise
@@ -203,7 +203,7 @@ class Shard(threading.Thread):
             vehicle = Vehicle(ref, checkpoint, self._context.session_factory, gap_wait_ns, now_ns)
             self._vehicles[ref.pk] = vehicle
         elif vehicle.ref != ref:
-            vehicle.reconfigure(ref, self._context.session_factory)
+            vehicle.reconfigure(ref)
         vehicle.active_ns = now_ns
         self._vehicles.move_to_end(ref.pk)
         return vehicle

@@ -15,6 +15,7 @@ from service.engine.checkpoints import Checkpoint
 from service.engine.effects import Effects
 from service.ingest.journal_rows import JournalEntry
 from service.ingest.sequencing import Sequencer
+from service.storage.calibrations import GivenCalibration
 from service.storage.vehicles import VehicleRef
 
 logger = logging.getLogger(__name__)
@@ -32,8 +33,8 @@ class Fold(Protocol):
         ...
 
 
-SessionFactory = Callable[[VehicleConfig, bytes | None], Fold]
-"""A session with a vehicle's settings: new, or going on from a snapshot (raises SnapshotError)."""
+SessionFactory = Callable[[VehicleConfig, Sequence[GivenCalibration], bytes | None], Fold]
+"""A session with a vehicle's settings and calibrations: new, or going on from a snapshot (raises SnapshotError)."""
 
 Load = Callable[[Sequence[int]], Iterable[JournalEntry]]
 """Journal rows by their ids."""
@@ -44,7 +45,8 @@ class Vehicle:
 
     ``journal_id`` is the newest row offered to the sequencer. Rows are offered in journal order and
     each once, so the same journal gives the same session, whoever reads it and when. Packets that the
-    sequencer holds back are not kept here; they are loaded when it lets them go.
+    sequencer holds back are not kept here; they are loaded when it lets them go. A calibration that was put while
+    packets came in is known to the session from that place in the journal on, also when they are folded again.
     """
 
     def __init__(
@@ -52,14 +54,15 @@ class Vehicle:
     ) -> None:
         self.ref = ref
         self.active_ns = now_ns
+        self._factory = factory
+        self.journal_id = 0 if saved is None else saved.journal_id
+        self._calibrations, self._coming = _known_at(self.journal_id, ref)
         if saved is None:
-            self.journal_id = 0
             self._sequencer = Sequencer(gap_wait_ns)
-            self._session = factory(ref.config, None)
+            self._session = factory(ref.config, self._calibrations, None)
         else:
-            self.journal_id = saved.journal_id
             self._sequencer = Sequencer.from_json(saved.sequencer, gap_wait_ns)
-            self._session = _restore(ref, saved.session, factory)
+            self._session = self._restored(saved.session)
         self._must_save = False
         self._saved_id = self.journal_id
         self._saved_ns = now_ns
@@ -75,6 +78,9 @@ class Vehicle:
         for entry in entries:
             if entry.journal_id <= self.journal_id:
                 continue
+            if self._coming and entry.journal_id > self._coming:
+                self._calibrations, self._coming = _known_at(entry.journal_id - 1, self.ref)
+                self._session = self._restored(self._session.snapshot())
             at_hand[entry.journal_id] = entry
             release = self._sequencer.offer(entry.boot_id, entry.sequence, entry.start_t_ns, entry.journal_id)
             missing = [journal_id for journal_id in release.released if journal_id not in at_hand]
@@ -114,23 +120,34 @@ class Vehicle:
         if self._packet_ns is not None:
             self._saved_packet_ns = self._packet_ns
 
-    def reconfigure(self, ref: VehicleRef, factory: SessionFactory) -> None:
+    def reconfigure(self, ref: VehicleRef) -> None:
         """Go on in the same state with changed settings; a checkpoint is due, so that no replay uses them too early."""
-        if ref.config != self.ref.config:
-            self._session = _restore(ref, self._session.snapshot(), factory)
+        before, self.ref = self.ref, ref
+        known, self._coming = _known_at(self.journal_id, ref)
+        if ref.config != before.config or known != self._calibrations:
+            self._calibrations = known
+            self._session = self._restored(self._session.snapshot())
             self._must_save = True
-        self.ref = ref
+
+    def _restored(self, snapshot: bytes) -> Fold:
+        """A session going on from a snapshot; one begun anew where this version cannot read it."""
+        ref = self.ref
+        try:
+            return self._factory(ref.config, self._calibrations, snapshot)
+        except SnapshotError as error:
+            logger.warning(
+                "vehicle %s of tenant %s begins anew, as after a long gap: its saved session cannot be used: %s",
+                ref.vehicle_id,
+                ref.tenant_id,
+                error,
+            )
+            return self._factory(ref.config, self._calibrations, None)
 
 
-def _restore(ref: VehicleRef, snapshot: bytes, factory: SessionFactory) -> Fold:
-    """A session going on from a snapshot; one begun anew where this version cannot read it."""
-    try:
-        return factory(ref.config, snapshot)
-    except SnapshotError as error:
-        logger.warning(
-            "vehicle %s of tenant %s begins anew, as after a long gap: its saved session cannot be used: %s",
-            ref.vehicle_id,
-            ref.tenant_id,
-            error,
-        )
-        return factory(ref.config, None)
+def _known_at(journal_id: int, ref: VehicleRef) -> tuple[tuple[GivenCalibration, ...], int]:
+    """The calibrations that packets after a place in the journal are folded with, and the next such place, 0 for none.
+
+    Those put before the first packet hold from it on.
+    """
+    known = tuple(one for one in ref.calibrations if one.journal_id <= journal_id)
+    return known, min((one.journal_id for one in ref.calibrations if one.journal_id > journal_id), default=0)

@@ -14,7 +14,7 @@ from starlette.routing import Route
 
 from schemas.packet import PacketError
 from service.api.security import Authenticator, Principal
-from service.errors import BadRequestError, ServiceError, TooLargeError
+from service.errors import BadRequestError, ServiceError, TooLargeError, UnsupportedMediaTypeError
 from service.ingest.receiver import Form, Receipt, Receiver, refused_of
 from service.ingest.validation import MAX_PACKET_BYTES, REASONS
 
@@ -32,13 +32,6 @@ _MAX_VARINT_BYTES: Final = 10
 
 # A refusal's status where it is the whole answer; every other code is 422.
 _STATUS_OF_CODE: Final = {"malformed": 400, "too_large": 413, "unknown_vehicle": 404}
-
-
-class UnsupportedMediaTypeError(ServiceError):
-    """The body is of a kind that is not taken here."""
-
-    code = "unsupported_media_type"
-    status = 415
 
 
 class PacketRefusedError(ServiceError):

@@ -66,6 +66,52 @@ vehicles = Table(
     sqlite_autoincrement=True,
 )
 
+calibrations = Table(
+    "calibrations",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), nullable=False),
+    Column("version", Integer, nullable=False),
+    Column("base", Integer),
+    Column("valid_from_ns", BigInteger, nullable=False),
+    Column("origin", String(16), nullable=False),
+    Column("run_id", String(36)),
+    Column("created_by", String(32)),
+    Column("journal_id", BigInteger, nullable=False),
+    Column("stored_ns", BigInteger, nullable=False),
+    Column("calibration", JSON, nullable=False),
+    UniqueConstraint("vehicle_pk", "version"),
+    Index("ix_calibrations_vehicle_pk_valid_from_ns", "vehicle_pk", "valid_from_ns"),
+)
+"""Each row holds from ``valid_from_ns`` (0: ever since) until the next one does. ``base`` is null where somebody gave
+it; else it is the given version (0: none) whose biases a trip brought up to date, and holds as long as that one does.
+Packets up to ``journal_id`` were folded, or are to be folded again, without it."""
+
+calibration_runs = Table(
+    "calibration_runs",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), nullable=False),
+    Column("status", String(16), nullable=False),
+    Column("progress", Float(53), nullable=False),
+    Column("options", JSON, nullable=False),
+    Column("recording_bytes", BigInteger, nullable=False),
+    Column("recording_sha256", String(64), nullable=False),
+    Column("created_ns", BigInteger, nullable=False),
+    Column("started_ns", BigInteger),
+    Column("finished_ns", BigInteger),
+    Column("result", JSON),
+    Column("problem", JSON),
+    Column("has_report", Boolean, nullable=False),
+    Column("decision", String(16)),
+    Column("decided_ns", BigInteger),
+    Column("version", Integer),
+    Index("ix_calibration_runs_vehicle_pk_created_ns", "vehicle_pk", "created_ns"),
+    Index("ix_calibration_runs_status", "status"),
+)
+"""``status`` is queued, running, done or failed; ``decision`` accepted or refused. The uploaded recording and the
+report are files in the data directory, by the run's id."""
+
 journal = Table(
     "journal",
     metadata,

@@ -13,7 +13,8 @@ from sqlalchemy import Connection, Engine, Row, delete, func, select
 from schemas import keys
 from schemas.vehicles import VehicleConfig
 from service.ingest.sequencing import Sequencer
-from service.storage import tenants
+from service.storage import calibrations, tenants
+from service.storage.calibrations import GivenCalibration
 from service.storage.database import read, write
 from service.storage.statements import insert_into
 from service.storage.tables import checkpoints, journal, vehicles
@@ -21,12 +22,13 @@ from service.storage.tables import checkpoints, journal, vehicles
 
 @dataclass(frozen=True, slots=True)
 class VehicleRef:
-    """A registered vehicle: its row, its names and its settings."""
+    """A registered vehicle: its row, its names, its settings and its calibrations by the time from which they hold."""
 
     pk: int
     tenant_id: str
     vehicle_id: str
     config: VehicleConfig
+    calibrations: tuple[GivenCalibration, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,7 @@ def find(connection: Connection, tenant_id: str, vehicle_id: str) -> VehicleRow 
     row = connection.execute(
         select(vehicles).where(vehicles.c.tenant_id == tenant_id, vehicles.c.vehicle_id == vehicle_id)
     ).one_or_none()
-    return None if row is None else _vehicle(row)
+    return None if row is None else _vehicle(connection, row)
 
 
 def page(connection: Connection, tenant_id: str, after_id: str | None, limit: int) -> list[VehicleRow]:
@@ -62,7 +64,9 @@ def page(connection: Connection, tenant_id: str, after_id: str | None, limit: in
     statement = select(vehicles).where(vehicles.c.tenant_id == tenant_id)
     if after_id is not None:
         statement = statement.where(vehicles.c.vehicle_id > after_id)
-    return [_vehicle(row) for row in connection.execute(statement.order_by(vehicles.c.vehicle_id).limit(limit))]
+    rows = connection.execute(statement.order_by(vehicles.c.vehicle_id).limit(limit)).all()
+    known = calibrations.given(connection, [row.pk for row in rows])
+    return [_vehicle_with(row, known.get(row.pk, ())) for row in rows]
 
 
 def put(connection: Connection, tenant_id: str, vehicle_id: str, config: VehicleConfig) -> VehicleRow:
@@ -81,7 +85,7 @@ def put(connection: Connection, tenant_id: str, vehicle_id: str, config: Vehicle
             set_={"config": insert.excluded.config, "updated_ns": insert.excluded.updated_ns},
         ).returning(*vehicles.c)
     ).one()
-    return _vehicle(row)
+    return _vehicle(connection, row)
 
 
 def newest_packet(connection: Connection, vehicle_pk: int) -> PacketRow | None:
@@ -109,8 +113,12 @@ def durable_sequence(connection: Connection, vehicle_pk: int, boot_id: str, gap_
     return sequencer.durable_sequence(boot_id)
 
 
-def _vehicle(row: Row[Any]) -> VehicleRow:
-    ref = VehicleRef(row.pk, row.tenant_id, row.vehicle_id, VehicleConfig.model_validate(row.config))
+def _vehicle(connection: Connection, row: Row[Any]) -> VehicleRow:
+    return _vehicle_with(row, calibrations.given(connection, [row.pk]).get(row.pk, ()))
+
+
+def _vehicle_with(row: Row[Any], known: tuple[GivenCalibration, ...]) -> VehicleRow:
+    ref = VehicleRef(row.pk, row.tenant_id, row.vehicle_id, VehicleConfig.model_validate(row.config), known)
     return VehicleRow(ref, row.registered_ns, row.updated_ns, row.last_seen_ns)
 
 
@@ -180,7 +188,8 @@ class VehicleDirectory:
         generation = self._generation
         with read(self._engine) as connection:
             row = connection.execute(select(vehicles).where(vehicles.c.pk == pk)).one_or_none()
-        return None if row is None else self._remember(_vehicle(row).ref, generation)
+            found = None if row is None else _vehicle(connection, row).ref
+        return None if found is None else self._remember(found, generation)
 
     def remove(self, tenant_id: str, vehicle_id: str) -> bool:
         """Remove the vehicle and every row that is about it; False if there is none."""

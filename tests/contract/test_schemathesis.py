@@ -98,6 +98,8 @@ def test_every_answer_is_one_that_the_document_promises(fuzzed, method, path, mo
         ("/v1/vehicles/{vehicle_id}", {"vehicle_id": "car"}),
         ("/v1/vehicles/{vehicle_id}/state", {"vehicle_id": "car"}),
         ("/v1/vehicles/{vehicle_id}/calibration", {"vehicle_id": "car"}),
+        ("/v1/vehicles/{vehicle_id}/calibrations", {"vehicle_id": "car"}),
+        ("/v1/vehicles/{vehicle_id}/calibration-runs", {"vehicle_id": "car"}),
         ("/v1/vehicles/{vehicle_id}/trips", {"vehicle_id": "car"}),
         ("/v1/trips/{trip_id}", {"trip_id": "trip"}),
         ("/v1/trips/{trip_id}/track", {"trip_id": "trip"}),

@@ -1,4 +1,4 @@
-"""Vehicles over HTTP: registering, changing, paging, removing, state and calibration."""
+"""Vehicles over HTTP: registering, changing, paging, removing, state."""
 
 from __future__ import annotations
 
@@ -200,18 +200,6 @@ def test_state_is_the_newest_of_everything(service, admin, tenant):
     assert state["fused"]["mode"] == "coasting"
     assert state["fused"]["speed_mps"] == pytest.approx(5.0)
     assert state["fused"]["sd_n_m"] == 0.8
-
-
-def test_calibration_is_kept_in_the_settings(service, admin, tenant):
-    admin.put("/v1/vehicles/a", json={"config": {"detector": "paper"}})
-    assert admin.get("/v1/vehicles/a/calibration").json() == {"accelerometer": None, "gyroscope": None}
-    sensor = {"scale": [1.01, 0.99, 1.0], "misalignment": [0.001, 0.0, -0.002], "bias": [0.1, -0.2, 0.05]}
-    assert admin.put("/v1/vehicles/a/calibration", json={"accelerometer": sensor}).status_code == 200
-    assert admin.get("/v1/vehicles/a/calibration").json()["accelerometer"] == sensor
-    config = service.runtime.directory.resolve(tenant, "a").config
-    assert config.detector == "paper"
-    assert config.calibration.accelerometer.scale == (1.01, 0.99, 1.0)
-    assert admin.put("/v1/vehicles/none/calibration", json={}).status_code == 404
 
 
 def test_removing_a_vehicle_leaves_no_row_about_it(service, admin, tenant):

@@ -42,7 +42,7 @@ WAIT_S = 20.0
 class SummingFold:
     """A position that depends on every packet so far and on their order; a crash where a sample is large."""
 
-    def __init__(self, config: VehicleConfig, snapshot: bytes | None) -> None:
+    def __init__(self, config: VehicleConfig, _calibrations: Any, snapshot: bytes | None) -> None:
         state = {"sum": 0.0, "packets": 0, "start": 0, "crashed": 0} if snapshot is None else json.loads(snapshot)
         self.config, self.sum, self.packets = config, state["sum"], state["packets"]
         self.start, self.crashed = state["start"], state["crashed"]
@@ -323,10 +323,10 @@ def test_a_vehicle_set_aside_goes_on_once_its_settings_are_mended(bench: Bench) 
     ref = bench.vehicle("car-1")
     entries = bench.journal(*drive(ref))
 
-    def picky(config: VehicleConfig, snapshot: bytes | None) -> SummingFold:
+    def picky(config: VehicleConfig, calibrations: Any, snapshot: bytes | None) -> SummingFold:
         if config.detector == "paper":
             raise ValueError("settings that no session can use")
-        return SummingFold(config, snapshot)
+        return SummingFold(config, calibrations, snapshot)
 
     engine = bench.engine(picky)
     engine.start()
@@ -406,9 +406,9 @@ def test_changed_settings_apply_to_the_same_session_from_then_on(bench: Bench) -
     entries = bench.journal(*drive(ref))
     opened: list[tuple[VehicleConfig, bool]] = []
 
-    def factory(config: VehicleConfig, snapshot: bytes | None) -> SummingFold:
+    def factory(config: VehicleConfig, calibrations: Any, snapshot: bytes | None) -> SummingFold:
         opened.append((config, snapshot is None))
-        return SummingFold(config, snapshot)
+        return SummingFold(config, calibrations, snapshot)
 
     engine = bench.engine(factory)
     engine.start()
@@ -427,10 +427,10 @@ def test_a_snapshot_of_another_version_begins_anew_and_keeps_the_sequence(bench:
     entries = bench.journal(*drive(bench.vehicle("car-1")))
     run(bench, entries[:6])
 
-    def newer(config: VehicleConfig, snapshot: bytes | None) -> SummingFold:
+    def newer(config: VehicleConfig, calibrations: Any, snapshot: bytes | None) -> SummingFold:
         if snapshot is not None and b"version" not in snapshot:
             raise SnapshotError("snapshot has version 1, expected 2")
-        return SummingFold(config, snapshot)
+        return SummingFold(config, calibrations, snapshot)
 
     run(bench, entries, factory=newer)
     assert len(bench.stored()["track_points"]) == 12

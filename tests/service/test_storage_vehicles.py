@@ -9,7 +9,8 @@ from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import event, insert
 
 from schemas.keys import MAX_VEHICLE_ID, is_name
-from schemas.vehicles import Calibration, SensorCalibration, VehicleConfig, VehicleId
+from schemas.model import VehicleId
+from schemas.vehicles import VehicleConfig
 from service.ingest.sequencing import Sequencer
 from service.storage import tables, tenants, vehicles
 from service.storage.database import read, write
@@ -39,10 +40,7 @@ class Statements:
 
 
 def test_settings_come_back_as_they_were(closed, any_database):
-    sensor = SensorCalibration(scale=(1.01, 1.0, 0.99), bias=(0.1, 0.2, 1 / 3))
-    config = VehicleConfig(
-        mounting_rpy_deg=(1.0, 2.0, 90.0), detector="paper", calibration=Calibration(accelerometer=sensor)
-    )
+    config = VehicleConfig(mounting_rpy_deg=(1.0, 2.0, 90.0 + 1 / 3), detector="paper")
     ref = closed.register("acme", "a", config).ref
     fresh = VehicleDirectory(any_database, open_registration=False)
     assert fresh.resolve("acme", "a") == fresh.by_pk(ref.pk) == ref

@@ -9,7 +9,9 @@ from typing import Any, TypeVar
 import pydantic
 
 from core.session import SessionConfig
-from schemas.vehicles import Calibration, Model, SensorNoise
+from schemas.calibration import Calibration
+from schemas.model import Model
+from schemas.vehicles import SensorNoise
 from service.cli.progress import Progress
 from service.errors import UsageError
 from service.recordings.drive_folder import Drive, read_drive
@@ -52,7 +54,7 @@ def open_drive(arguments: argparse.Namespace, **switches: Any) -> tuple[Drive, S
     drive = read_with_progress(arguments.drive)
     calibration = read_settings(arguments.calibration, Calibration, "a calibration as PUT …/calibration takes")
     noise = read_settings(arguments.noise, SensorNoise, "what 'telefuse noise --json' prints: SI units")
-    return drive, fuse_config(vehicle_config(drive, calibration, noise), **switches)
+    return drive, fuse_config(vehicle_config(drive, noise), calibration, **switches)
 
 
 def read_with_progress(folder: Path) -> Drive:

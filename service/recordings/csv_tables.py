@@ -48,14 +48,29 @@ def read_table(
 
     Empty cells are NaN, other columns are ignored, ``t_s`` must be there for every row and increase.
     """
-    text = _read_text(path)
-    first_line, _, body = text.partition("\n")
-    header = [cell.strip() for cell in next(csv.reader([first_line]), [])]
+    text = read_text(path)
+    header = header_cells(text.partition("\n")[0])
     wanted = [*required, *(name for name in optional if name in header)]
     for name in wanted:
         if header.count(name) != 1:
             problem = "is missing" if name not in header else "stands there more than once"
             raise RecordingError(f"{path}: line 1: column '{name}' {problem}; expected columns {', '.join(required)}")
+    return table_of(path, text, wanted, progress)
+
+
+def header_cells(line: str) -> list[str]:
+    """Names in a header row."""
+    return [cell.strip() for cell in next(csv.reader([line]), [])]
+
+
+def table_of(path: Path, text: str, wanted: Sequence[str], progress: Share = untold) -> dict[str, FloatArray]:
+    """Columns ``wanted`` of a table's text, each (n,), as ``read_table`` gives them.
+
+    Lines that are blank before the header count as lines; every name must stand in the header once.
+    """
+    lead = len(text) - len(text.lstrip("\n"))
+    first_line, _, body = text[lead:].partition("\n")
+    header = header_cells(first_line)
     positions = [header.index(name) for name in wanted]
     body = body.strip("\n")
     if not body.strip():
@@ -101,7 +116,8 @@ def gzip_bytes(text: str) -> bytes:
     return gzip.compress(text.encode(), compresslevel=6, mtime=0)
 
 
-def _read_text(path: Path) -> str:
+def read_text(path: Path) -> str:
+    """A CSV file's text, plain or gzip, with line feeds alone."""
     try:
         raw = path.read_bytes()
         data = gzip.decompress(raw) if path.suffix == ".gz" else raw
@@ -129,7 +145,8 @@ def _read_slowly(path: Path, text: str, wanted: Sequence[str], positions: Sequen
     """The same by Python's csv reader: takes quoted and empty cells, or names the first bad one."""
     rows: list[list[float]] = []
     reader = csv.reader(io.StringIO(text))
-    next(reader)
+    while not next(reader):
+        pass
     for cells in reader:
         if not cells:
             continue
@@ -154,8 +171,8 @@ def _read_slowly(path: Path, text: str, wanted: Sequence[str], positions: Sequen
 
 def _line_number(text: str, row: int) -> int:
     """Line of a data row: blank lines count as lines, not as rows."""
-    seen = -1
-    for number, line in enumerate(text.split("\n")[1:], start=2):
+    seen = -2
+    for number, line in enumerate(text.split("\n"), start=1):
         if line.strip():
             seen += 1
         if seen == row:
@@ -172,6 +189,8 @@ def _check(path: Path, text: str, table: Mapping[str, FloatArray]) -> None:
                 f"{path}: line {_line_number(text, row)}, column '{name}': {values[row]} is no finite number; "
                 f"expected {'a time in seconds' if name == 't_s' else 'a number, or an empty cell where it is missing'}"
             )
+    if "t_s" not in table:
+        return
     t_s = table["t_s"]
     far = np.abs(t_s) > _MAX_ABS_TIME_S
     if far.any():

@@ -22,10 +22,12 @@ from core.navigation.solution import Solution
 from core.navigation.track import Mode, Track
 from core.rotation import wrap_angle_rad
 from core.session import Accident, MountingEstimate, Session, SessionConfig
-from schemas.vehicles import Calibration, SensorNoise, VehicleConfig
-from service.engine.sessions import session_config, warm_up
+from schemas.calibration import Calibration
+from schemas.vehicles import SensorNoise, VehicleConfig
+from service.engine.sessions import box_calibration, session_config, warm_up
 from service.errors import UsageError
 from service.recordings.drive_folder import Drive
+from service.storage.calibrations import EVER_NS, GivenCalibration
 
 CHUNK_S: Final = 10.0
 """Samples handed to the session at a time: only progress depends on it, no bit of the result does."""
@@ -72,9 +74,7 @@ class Fused:
     records: AidRecords | None = None
 
 
-def vehicle_config(
-    drive: Drive, calibration: Calibration | None = None, noise: SensorNoise | None = None
-) -> VehicleConfig:
+def vehicle_config(drive: Drive, noise: SensorNoise | None = None) -> VehicleConfig:
     """The settings of a vehicle whose box is as the drive says; ``noise`` goes before the drive's own."""
     return VehicleConfig(
         mounting_rpy_deg=drive.imu.mounting_rpy_deg,
@@ -82,23 +82,33 @@ def vehicle_config(
         gnss_lever_arm_m=drive.gnss.lever_arm_m,
         gnss_time_offset_s=drive.gnss.time_offset_s,
         accel_full_scale_mps2=drive.imu.accel_full_scale_mps2,
-        calibration=calibration,
         noise=drive.imu.noise if noise is None else noise,
     )
 
 
 def fuse_config(
-    config: VehicleConfig, *, every_s: float = 0.0, non_holonomic: bool = True, zero_velocity: bool = True
+    config: VehicleConfig,
+    calibration: Calibration | None = None,
+    *,
+    every_s: float = 0.0,
+    non_holonomic: bool = True,
+    zero_velocity: bool = True,
 ) -> SessionConfig:
-    """A session's settings with rows every ``every_s`` (0: every sample) and constraints switched."""
+    """A session's settings with rows every ``every_s`` (0: every sample) and constraints switched.
+
+    No trip comes after a recording's, so what is followed is not folded back in its midst.
+    """
     base = session_config(config)
+    if calibration is not None:
+        box = box_calibration(GivenCalibration(1, EVER_NS, 0, calibration))
+        base = replace(base, accelerometer=box.accelerometer, gyroscope=box.gyroscope, magnetometer=box.magnetometer)
     filter_config: FilterConfig = replace(
         base.filter,
         tuning=replace(base.filter.tuning, output_interval_s=every_s),
         non_holonomic=non_holonomic,
         zero_velocity=zero_velocity,
     )
-    return replace(base, filter=filter_config)
+    return replace(base, filter=filter_config, fold_back=False)
 
 
 def fuse(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from core.errors import InvalidInputError
 from core.navigation.ecef_filter import EcefConfig, GivenAttitude, run
-from core.preparation import Preparation
+from core.preparation import Preparation, with_valid_samples
 from core.session import KNOWN_MOUNTING_SD_RAD, MountingEstimate, SessionConfig
 from service.errors import UsageError
 from service.recordings.drive_folder import Drive
@@ -30,7 +30,7 @@ def fuse_ecef(
     )
     counts: dict[str, int] = {}
     preparation = Preparation(config.accelerometer, config.gyroscope, config.mounting, config.accel_full_scale_mps2)
-    samples = preparation.step(m, 0, counts)
+    samples = preparation.step(with_valid_samples(m, 0, counts))
     if ours is not None and ours.solution is not None:
         attitude = GivenAttitude.by_solution(ours.solution, settings.tuning)
     elif drive.attitude is not None:

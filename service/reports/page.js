@@ -16,6 +16,9 @@
     for (const name of Object.keys(layout).filter((key) => /^[xy]axis\d*$/.test(key))) {
       changes[`${name}.gridcolor`] = changes[`${name}.zerolinecolor`] = changes[`${name}.linecolor`] = grid;
     }
+    for (const axis of layout.scene ? ["xaxis", "yaxis", "zaxis"] : []) {
+      changes[`scene.${axis}.gridcolor`] = changes[`scene.${axis}.zerolinecolor`] = grid;
+    }
     return changes;
   }
 
@@ -77,6 +80,7 @@
     if (event.target !== plot || event.ctrlKey || event.altKey || event.metaKey) return;
     const isMap = plot.dataset.timed === "false";
     const axes = isMap ? ["xaxis", "yaxis"] : ["xaxis"];
+    if (!plot._fullLayout?.[axes[0]]) return; // a scene in three dimensions is turned with the pointer
     let update = {};
     if (event.key === "0") {
       for (const axis of axes) update[`${axis}.autorange`] = true;

@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 import re
-import shutil
 
 import pytest
 
+from tests.browsing import CHROMIUM, Opened
 from tests.report_inputs import report
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 # `make browser` installs it, and .ci/run calls that: only a developer's machine can be without.
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: apt-get install chromium")
 HOSTILE = "</script><script>document.title='taken'</script><img src=http://127.0.0.1:9/x onerror=alert(1)>"
-QUIET = ["--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
-"""A browser by itself asks for updates; what it asks for here shall be the page's own doing."""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as started:
-        # Without the sandbox, as it cannot be had by root, who runs these tests in a container.
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=[*QUIET, "--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(scope="module")
@@ -32,26 +19,6 @@ def address(tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
     path.write_text(report(name=HOSTILE).html(), encoding="utf-8")
     return path.as_uri()
-
-
-class Opened:
-    """A page with all that it said and asked for."""
-
-    def __init__(self, browser, address, **context):
-        self.said, self.asked = [], []
-        self.page = browser.new_page(**context)
-        self.page.on("console", lambda message: self.said.append(message.text))
-        self.page.on("pageerror", lambda error: self.said.append(str(error)))
-        self.page.on("dialog", lambda dialog: (self.said.append(dialog.message), dialog.dismiss()))
-        self.page.on("request", lambda request: self.asked.append(request.url))
-        self.page.goto(address)
-
-    def draw_all(self) -> int:
-        plots = self.page.locator(".plot")
-        for index in range(plots.count()):
-            plots.nth(index).scroll_into_view_if_needed()
-            plots.nth(index).locator(".main-svg").first.wait_for()
-        return plots.count()
 
 
 @pytest.fixture

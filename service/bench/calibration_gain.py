@@ -10,7 +10,7 @@ import numpy as np
 from core.earth import ned_offset_m
 from core.measurements import GNSS, FloatArray
 from core.simulation.scenarios import simulate
-from schemas.vehicles import Calibration
+from schemas.calibration import Calibration
 from service.bench.simulated_outages import SEEDS, Tell, outages_of
 from service.recordings.drive_folder import Drive
 from service.recordings.fusing import Outage, figures, fuse, fuse_config, vehicle_config
@@ -80,7 +80,7 @@ def _of_drive(drive: Drive, seed: int) -> list[dict[str, Any]]:
         "gnss_carried_on": [_gnss_alone(drive, outage, carried_on=True) for outage in spans],
     }
     for name, calibration in (("uncalibrated", None), ("calibrated", Calibration(**truth["calibration"]))):
-        fused = fuse(drive, fuse_config(vehicle_config(drive, calibration)))
+        fused = fuse(drive, fuse_config(vehicle_config(drive), calibration))
         by_solution[name] = [
             {"rms_m": one["rms_m"], "max_m": one["max_m"]} for one in figures(drive, fused, spans)["outages"]
         ]

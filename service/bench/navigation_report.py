@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
+
+from service.bench.tables import aligned, verdicts
 
 
 def tables(found: Mapping[str, Any]) -> str:
@@ -15,7 +17,7 @@ def tables(found: Mapping[str, Any]) -> str:
         "consistency": _consistency,
         "calibration": _calibration,
         "seed3": _mobile_mapping,
-        "targets": _targets,
+        "targets": verdicts,
     }
     return "\n\n".join("\n".join(make(found[name])) for name, make in makers.items() if found.get(name))
 
@@ -32,7 +34,7 @@ def _simulated(found: Mapping[str, Any]) -> Iterable[str]:
             instant = name.removeprefix("at_").replace("_", " ")
             where = f"seed {worst['seed']} at {worst['start_s']:.0f} s"
             rows.append((aiding["text"], instant, *figures, where))
-    yield from _aligned(rows, left=(0, 6))
+    yield from aligned(rows, left=(0, 6))
 
 
 def _real(found: Mapping[str, Any]) -> Iterable[str]:
@@ -47,7 +49,7 @@ def _real(found: Mapping[str, Any]) -> Iterable[str]:
             for method in _methods(sweep):
                 ends = " ".join(_m(run["end_m"], 1) for run in sweep[method]["outages"])
                 rows.append((name, span, method, "median end", _m(sweep[method]["median_end_m"]), ends))
-    yield from _aligned(rows, left=(0, 1, 2, 3, 5))
+    yield from aligned(rows, left=(0, 1, 2, 3, 5))
 
 
 def _consistency(found: Mapping[str, Any]) -> Iterable[str]:
@@ -57,11 +59,11 @@ def _consistency(found: Mapping[str, Any]) -> Iterable[str]:
         low, high = one["band"]
         verdict = "inside" if one["inside"] else "outside"
         rows.append((name, _m(one["mean"]), _m(one["expected"]), f"{low:.2f} to {high:.2f}", verdict))
-    yield from _aligned(rows)
+    yield from aligned(rows)
     rows = [("within 3 sd", *next(iter(found["within_3_sd"].values())))]
     for where, shares in found["within_3_sd"].items():
         rows.append((where.replace("_", " "), *(f"{100 * share:.2f} %" for share in shares.values())))
-    yield from _aligned(rows)
+    yield from aligned(rows)
 
 
 def _calibration(found: Mapping[str, Any]) -> Iterable[str]:
@@ -73,7 +75,7 @@ def _calibration(found: Mapping[str, Any]) -> Iterable[str]:
         rows.append((str(one["seed"]), f"{one['start_s']:.0f} s", *cells))
     cells = (f"{_m(one['rms_m'], 1)} / {_m(one['max_m'], 1)}" for one in found["solutions"].values())
     rows.append(("all", "", *cells))
-    yield from _aligned(rows)
+    yield from aligned(rows)
 
 
 def _mobile_mapping(found: Mapping[str, Any]) -> Iterable[str]:
@@ -82,17 +84,7 @@ def _mobile_mapping(found: Mapping[str, Any]) -> Iterable[str]:
     for gap in found["gaps"]:
         cells = (_m(gap[f"{name}_rms_m"]) for name in found["filters"])
         rows.append((gap["drive"], f"{gap['start_s']:g}:{gap['duration_s']:g}", *cells))
-    yield from _aligned(rows, left=(0, 1))
-
-
-def _targets(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
-    yield "asked and measured:"
-    rows = [("figure", "measured", "at most", "")]
-    for one in found:
-        digits = 2 if one["unit"] else 0
-        verdict = "met" if one["met"] else "missed"
-        rows.append((one["text"], _m(one["value"], digits), _m(one["at_most"], digits), verdict))
-    yield from _aligned(rows)
+    yield from aligned(rows, left=(0, 1))
 
 
 def _methods(found: Mapping[str, Any]) -> list[str]:
@@ -101,14 +93,3 @@ def _methods(found: Mapping[str, Any]) -> list[str]:
 
 def _m(value: float | None, digits: int = 2) -> str:
     return "none" if value is None else f"{value:.{digits}f}"
-
-
-def _aligned(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> Iterable[str]:
-    """Rows of cells in columns, numbers to the right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    for row in rows:
-        cells = (
-            f"{cell:<{width}}" if i in left else f"{cell:>{width}}"
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        yield ("  " + "  ".join(cells)).rstrip()

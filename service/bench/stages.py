@@ -191,7 +191,7 @@ def _fuse(measurements: Sequence[Measurements]) -> tuple[float, float, _Fused]:
 
 
 def _fold(measurements: Sequence[Measurements]) -> _Fused:
-    session = open_session(VehicleConfig.model_validate(MOUNTING), None)
+    session = open_session(VehicleConfig.model_validate(MOUNTING), (), None)
     return _Fused(tuple([session.step(packet) for packet in measurements]), session.snapshot())
 
 

@@ -1,8 +1,8 @@
-"""What is asked of the navigation, each figure with where it stands among those measured."""
+"""What is asked, of the navigation and in general: each figure with where it stands among those measured."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -57,10 +57,10 @@ TARGETS: Final = (
 )
 
 
-def judged(found: Mapping[str, Any]) -> list[dict[str, Any]]:
+def judged(found: Mapping[str, Any], targets: Sequence[Target] = TARGETS) -> list[dict[str, Any]]:
     """Each target whose part was measured: its value, its limit, and whether it is met."""
     rows = []
-    for target in TARGETS:
+    for target in targets:
         if target.figure.split("/")[0] not in found:
             continue
         value = _figure(found, target.figure)

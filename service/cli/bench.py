@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from service.bench import kernel, load, navigation, navigation_report, report, stages
+from service.bench import calibration, calibration_report, kernel, load, navigation, navigation_report, report, stages
 from service.bench.fleet import record_drives
 from service.bench.target import Address
 from service.cli.ending import unwinding_on_sigterm
@@ -54,12 +54,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="measure the navigation's accuracy instead: errors in outages of simulated and recorded drives, whether"
         " they are as large as stated, what calibration is worth; beside what is asked of each",
     )
+    instead.add_argument(
+        "--calibration",
+        action="store_true",
+        help="measure the calibration instead: its minimiser beside SciPy's, simulated units against their truth,"
+        " public recordings against what other programs found; beside what is asked of each",
+    )
     parser.add_argument(
         "--part",
         action="append",
         default=[],
         metavar="NAME",
-        help=f"with --navigation: only this part, {', '.join(navigation.PART_NAMES)}; may be repeated (default: all)",
+        help=f"with --navigation: only this part, {', '.join(navigation.PART_NAMES)}; with --calibration:"
+        f" {', '.join(calibration.PART_NAMES)}; may be repeated (default: all)",
+    )
+    parser.add_argument(
+        "--recordings",
+        type=Path,
+        metavar="DIR",
+        help="with --calibration: where its recordings are (default: ../shared/data beside the checkout; the part"
+        " 'recordings' is left out where there are none)",
     )
     parser.add_argument(
         "--drives",
@@ -84,6 +98,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure; 1 if a packet was lost or taken twice, or an alert did not come."""
+    if arguments.recordings is not None and not arguments.calibration:
+        raise UsageError("--recordings is for --calibration; expected --calibration beside it")
     if arguments.kernel:
         _print_kernel(as_json=arguments.json)
         return 0
@@ -91,6 +107,11 @@ def run(arguments: argparse.Namespace) -> int:
         with _Phases() as phases:
             found = navigation.measure(arguments.part, arguments.drives, phases.tell)
         print(json.dumps(found) if arguments.json else navigation_report.tables(found))
+        return 0
+    if arguments.calibration:
+        with _Phases() as phases:
+            found = calibration.measure(arguments.part, arguments.recordings, phases.tell)
+        print(json.dumps(found) if arguments.json else calibration_report.tables(found))
         return 0
     _check(arguments)
     with unwinding_on_sigterm(), TemporaryDirectory(prefix="telefuse-bench-") as directory:
@@ -173,7 +194,9 @@ def _print_kernel(*, as_json: bool) -> None:
 
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.part or arguments.drives is not None:
-        raise UsageError("--part and --drives are for --navigation; expected --navigation beside them")
+        raise UsageError(
+            "--part and --drives are for --navigation, --part also for --calibration; expected one of these beside them"
+        )
     if not 1 <= arguments.vehicles <= MAX_VEHICLES:
         raise UsageError(f"--vehicles {arguments.vehicles}: expected 1 to {MAX_VEHICLES}")
     low, high = RATES_HZ

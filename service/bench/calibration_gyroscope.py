@@ -1,0 +1,208 @@
+"""The gyroscope's figures: simulated units against their truth, seed 1's table 3, and what no fit can go below."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from core.calibration.accelerometer import fit_accelerometer
+from core.calibration.gyroscope import GYROSCOPE_PARAMETERS, fit_gyroscope
+from core.calibration.gyroscope_problem import across
+from core.calibration.static_intervals import StaticPositions, find_static
+from core.calibration.turns import integrate
+from core.earth import STANDARD_GRAVITY_MPS2
+from core.measurements import FloatArray
+from core.rotation import skew
+from core.sensors import TriadCalibration, Triple
+from core.simulation.calibration_recording import Handling, SimulatedRecording, simulate_recording
+from core.simulation.sensors import GYROSCOPE, UNCALIBRATED, draw_errors
+from service.bench.simulated_outages import Tell
+from service.bench.targets import Target
+
+UNITS: Final = 500
+REPEATED_UNITS: Final = 20
+RECORDINGS: Final = 5
+POSITIONS: Final = 24
+ALIGNMENT_SD_RAD: Final = 0.015
+"""Of the gyroscope's chip against the accelerometer's: a degree of soldering, as the units' misalignment."""
+
+SEED1_TABLE_3: Final = {
+    "SFx": 3.28e-8,
+    "-SFx Mz": 2.28e-10,
+    "SFx My": 2.75e-11,
+    "SFy": 3.76e-7,
+    "-SFy Mx": 1.28e-11,
+    "SFz": 2.27e-8,
+    "Bx": 3.01e-6,
+    "By": 4.85e-6,
+    "Bz": 3.48e-6,
+}
+"""Variances over five recordings, its last column; biases in rad/s. The products of misalignment are all printed as
++-0.0000: the Earth's rate is a third of the noise, and the iteration left them where they started."""
+OUT_OF_REACH: Final = ("-SFx Mz", "SFx My", "-SFy Mx")
+
+PROTOCOLS: Final = {
+    "straight": Handling(),
+    "right_round": Handling(full_turns=1.0),
+}
+"""From one position to the next the short way, or once more right round on the way."""
+
+
+def against_truth(tell: Tell, units: int = UNITS) -> dict[str, Any]:
+    """Simulated units with the device's whole noise, each recorded once: errors over what is stated of them."""
+    ratios, iterations, weak, left_out, spent_ms = [], [], 0, 0, []
+    for seed in range(units):
+        tell(seed, units)
+        triad, recorded = _recorded(seed, np.random.default_rng(seed), PROTOCOLS["straight"])
+        positions = find_static(recorded.recording)
+        accelerometer = fit_accelerometer(positions, STANDARD_GRAVITY_MPS2)
+        started_s = time.perf_counter()
+        fit = fit_gyroscope(recorded.recording, positions, accelerometer, STANDARD_GRAVITY_MPS2)
+        spent_ms.append(1e3 * (time.perf_counter() - started_s))
+        ratios.append((parameters(fit.calibration) - parameters(triad)) / np.sqrt(np.diag(fit.joint_covariance)))
+        iterations.append(fit.iterations)
+        weak += not fit.observability.observable
+        left_out += fit.left_out
+    outside = np.abs(np.array(ratios)) > 3.0
+    return {
+        "units": units,
+        "positions": POSITIONS,
+        "outside_3_sd": dict(zip(GYROSCOPE_PARAMETERS, outside.mean(axis=0).tolist(), strict=True)),
+        "outside_3_sd_worst": float(outside.mean(axis=0).max()),
+        "outside_3_sd_all": float(outside.mean()),
+        "rms_over_sd": dict(
+            zip(GYROSCOPE_PARAMETERS, np.sqrt(np.mean(np.square(ratios), axis=0)).tolist(), strict=True)
+        ),
+        "iterations_max": max(iterations),
+        "called_weak": weak,
+        "turns_left_out": left_out,
+        "fit_ms": float(np.median(spent_ms)),
+    }
+
+
+def repeated(tell: Tell, units: int = REPEATED_UNITS) -> dict[str, Any]:
+    """By protocol: variances of the parameters over five recordings of each unit, the least that white noise of the
+    rates allows (Cramer-Rao), and those of seed 1, table 3."""
+    found = {}
+    for done, (name, handling) in enumerate(PROTOCOLS.items()):
+        variances, bounds = [], []
+        for seed in range(units):
+            tell(done * units + seed, len(PROTOCOLS) * units)
+            rows = []
+            for turn in range(RECORDINGS):
+                triad, recorded = _recorded(seed, np.random.default_rng([seed, turn]), handling)
+                positions = find_static(recorded.recording)
+                accelerometer = fit_accelerometer(positions, STANDARD_GRAVITY_MPS2)
+                fit = fit_gyroscope(recorded.recording, positions, accelerometer, STANDARD_GRAVITY_MPS2)
+                rows.append(_table_3(fit.calibration))
+            variances.append(np.var(rows, axis=0, ddof=1))
+            bounds.append(bound(recorded, positions, triad))
+        mean, largest, least = np.mean(variances, axis=0), np.max(variances, axis=0), np.mean(bounds, axis=0)
+        found[name] = {
+            row: {
+                "mean": float(mean[i]),
+                "largest": float(largest[i]),
+                "cramer_rao": float(least[i]) if i < 6 else None,
+                "seed1": limit,
+            }
+            for i, (row, limit) in enumerate(SEED1_TABLE_3.items())
+        }
+    return {"units": units, "recordings": RECORDINGS, "variances": found}
+
+
+def bound(recorded: SimulatedRecording, positions: StaticPositions, triad: TriadCalibration) -> FloatArray:
+    """Least variances (6,) of table 3's products by the turns of a recording, bias and both ups being known exactly.
+
+    The inverse of Fisher's information with no noise but the data sheet's white noise of the rates.
+    """
+    recording = recorded.recording
+    assert recording.gyroscope is not None
+    forward = (triad.apply(np.eye(3)) - np.array(triad.bias)).T
+    inverse = np.asarray(np.linalg.inv(forward))
+    begin, end = (positions.end - 1)[:-1], positions.start[1:]
+    bias = np.tile(triad.bias, (len(begin), 1))
+    noise = np.full(3, GYROSCOPE.random_walk)
+    turns = integrate(recording.t_s, recording.gyroscope, begin, end, inverse, bias, noise)
+    up = -recorded.C_n_from_a[1:, 2]
+    information = np.zeros((9, 9))
+    for k in range(len(begin)):
+        lever = across(up[k]).T @ skew(up[k])
+        rows = lever @ turns.by_inverse[k].reshape(3, 9)
+        information += rows.T @ np.linalg.inv(lever @ turns.covariance[k] @ lever.T) @ rows
+    # A change of the inverse G is one of A = G^-1 by -A dG A; the products are those of its RQ decomposition.
+    spread = np.linalg.inv(information)
+    step = 1e-7
+    by = np.column_stack(
+        [
+            (_products(inverse + d.reshape(3, 3)) - _products(inverse - d.reshape(3, 3))) / (2.0 * step)
+            for d in step * np.eye(9)
+        ]
+    )
+    return np.asarray(np.diag(by @ spread @ by.T))
+
+
+def parameters(calibration: TriadCalibration) -> FloatArray:
+    """The twelve in the order of ``GYROSCOPE_PARAMETERS``."""
+    return np.array([*calibration.scale, *calibration.misalignment, *calibration.bias, *calibration.alignment])
+
+
+def _recorded(
+    seed: int, generator: np.random.Generator, handling: Handling
+) -> tuple[TriadCalibration, SimulatedRecording]:
+    """A unit as it was soldered, by its seed, and a recording of it."""
+    unit = np.random.default_rng([seed])
+    errors = draw_errors(UNCALIBRATED, unit)
+    alignment = ALIGNMENT_SD_RAD * unit.standard_normal(3)
+    turned: Triple = (float(alignment[0]), float(alignment[1]), float(alignment[2]))
+    gyroscope = replace(errors.gyroscope, alignment=turned)
+    recorded = simulate_recording(
+        generator,
+        accelerometer=errors.accelerometer,
+        gyroscope=gyroscope,
+        positions=POSITIONS,
+        initial_rest_s=5.0,
+        handling=handling,
+    )
+    return gyroscope, recorded
+
+
+def _table_3(calibration: TriadCalibration) -> FloatArray:
+    (sx, sy, sz), (mx, my, mz) = calibration.scale, calibration.misalignment
+    return np.array([sx, -sx * mz, sx * my, sy, -sy * mx, sz, *calibration.bias])
+
+
+def _products(inverse: FloatArray) -> FloatArray:
+    """SF M of the triad whose matrix has this inverse, as table 3 lists it, (6,)."""
+    matrix = np.linalg.inv(inverse)
+    # SF M (SF M)' = A A': its upper triangular root, by Cholesky from the last row on.
+    upper = np.linalg.cholesky((matrix @ matrix.T)[::-1, ::-1])[::-1, ::-1]
+    return np.array([upper[0, 0], upper[0, 1], upper[0, 2], upper[1, 1], upper[1, 2], upper[2, 2]])
+
+
+PARTS: Final[dict[str, Callable[[Tell], dict[str, Any]]]] = {
+    "gyroscope_units": against_truth,
+    "gyroscope_repeated": repeated,
+}
+
+TARGETS: Final = (
+    *(
+        Target(f"500 units, gyroscope's {name} outside 3 sd", f"gyroscope_units/outside_3_sd/{name}", 0.01, "of them")
+        for name in GYROSCOPE_PARAMETERS
+    ),
+    Target("500 units, gyroscope called weak though 24 positions tell all", "gyroscope_units/called_weak", 0, ""),
+    Target("gyroscope, 24 positions, time of a fit", "gyroscope_units/fit_ms", 1000.0, "ms"),
+    *(
+        Target(
+            f"gyroscope, variance of {name} over 5 recordings, mean of 20 units",
+            f"gyroscope_repeated/variances/right_round/{name}/mean",
+            limit,
+            "",
+        )
+        for name, limit in SEED1_TABLE_3.items()
+        if name not in OUT_OF_REACH
+    ),
+)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from core.measurements import FloatArray
 from core.sensors import TriadCalibration
 from core.simulation.calibration_recording import simulate_recording
 from core.simulation.sensors import UNCALIBRATED, DeviceErrors, draw_errors
-from service.bench import calibration_recordings, minimiser
+from service.bench import calibration_gyroscope, calibration_noise, calibration_recordings, minimiser
 from service.bench.calibration_targets import SEED1_TABLE_2, TARGETS
 from service.bench.simulated_outages import Tell
 from service.bench.targets import judged
@@ -33,7 +33,7 @@ TIMED_POSITIONS: Final = 40
 
 
 def measure(parts: Sequence[str], folder: Path | None, tell: Callable[[str, float, float], None]) -> dict[str, Any]:
-    """Figures by part. Without ``parts`` all of them, the recordings only where they are.
+    """Figures by part. Without ``parts`` all of them, those from recordings only where these are.
 
     Raises UsageError where recordings are asked for, by a part or a place, and are not there.
     """
@@ -42,15 +42,18 @@ def measure(parts: Sequence[str], folder: Path | None, tell: Callable[[str, floa
             raise UsageError(f"--part {part}: expected one of {', '.join(PART_NAMES)}")
     place = calibration_recordings.PLACE if folder is None else folder
     asked = [name for name in PART_NAMES if name in parts or not parts]
-    missing = calibration_recordings.missing(place)
-    if RECORDED in asked and missing:
-        if folder is not None or RECORDED in parts:
-            raise UsageError(f"{place}: no '{missing[0]}'; say by --recordings where the calibration recordings are")
-        asked.remove(RECORDED)
+    left_out = {name: lacking[0] for name in asked if name in RECORDED and (lacking := RECORDED[name].missing(place))}
+    for name, one in left_out.items():
+        if folder is not None or name in parts:
+            raise UsageError(f"{place}: no '{one}'; say by --recordings where the calibration recordings are")
     found: dict[str, Any] = {}
     for name in asked:
+        if name in left_out:
+            continue
         told = partial(tell, name)
-        found[name] = calibration_recordings.measure(place, told) if name == RECORDED else PARTS[name](told)
+        found[name] = RECORDED[name].measure(place, told) if name in RECORDED else PARTS[name](told)
+    if left_out:
+        found["left_out"] = left_out
     return found | {"targets": judged(found, TARGETS)}
 
 
@@ -141,7 +144,19 @@ PARTS: Final[dict[str, Callable[[Tell], dict[str, Any]]]] = {
     "minimiser": minimiser.measure,
     "units": against_truth,
     "repeated": repeated,
+    "gyroscope": calibration_gyroscope.measure,
 }
-RECORDED: Final = "recordings"
-"""The part that needs recordings."""
-PART_NAMES: Final = (*PARTS, RECORDED)
+
+
+class Recorded(NamedTuple):
+    """A part that needs recordings: which of them are missing from a place, and its figures."""
+
+    missing: Callable[[Path], list[str]]
+    measure: Callable[[Path, Tell], dict[str, Any]]
+
+
+RECORDED: Final[dict[str, Recorded]] = {
+    "recordings": Recorded(calibration_recordings.missing, calibration_recordings.measure),
+    "noise": Recorded(calibration_noise.missing, calibration_noise.measure),
+}
+PART_NAMES: Final = (*PARTS, *RECORDED)

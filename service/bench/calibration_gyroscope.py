@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final
 
@@ -20,8 +19,8 @@ from core.rotation import skew
 from core.sensors import TriadCalibration, Triple
 from core.simulation.calibration_recording import Handling, SimulatedRecording, simulate_recording
 from core.simulation.sensors import GYROSCOPE, UNCALIBRATED, draw_errors
+from service.bench.calibration_targets import SEED1_TABLE_3
 from service.bench.simulated_outages import Tell
-from service.bench.targets import Target
 
 UNITS: Final = 500
 REPEATED_UNITS: Final = 20
@@ -30,26 +29,21 @@ POSITIONS: Final = 24
 ALIGNMENT_SD_RAD: Final = 0.015
 """Of the gyroscope's chip against the accelerometer's: a degree of soldering, as the units' misalignment."""
 
-SEED1_TABLE_3: Final = {
-    "SFx": 3.28e-8,
-    "-SFx Mz": 2.28e-10,
-    "SFx My": 2.75e-11,
-    "SFy": 3.76e-7,
-    "-SFy Mx": 1.28e-11,
-    "SFz": 2.27e-8,
-    "Bx": 3.01e-6,
-    "By": 4.85e-6,
-    "Bz": 3.48e-6,
-}
-"""Variances over five recordings, its last column; biases in rad/s. The products of misalignment are all printed as
-+-0.0000: the Earth's rate is a third of the noise, and the iteration left them where they started."""
-OUT_OF_REACH: Final = ("-SFx Mz", "SFx My", "-SFy Mx")
-
 PROTOCOLS: Final = {
     "straight": Handling(),
     "right_round": Handling(full_turns=1.0),
 }
 """From one position to the next the short way, or once more right round on the way."""
+
+
+def measure(tell: Tell) -> dict[str, Any]:
+    """Single recordings against truth, and repeated ones against each other and the least variance possible."""
+    recorded = REPEATED_UNITS * RECORDINGS * len(PROTOCOLS)
+    total = UNITS + recorded
+    return {
+        "units": against_truth(lambda done, _: tell(done, total)),
+        "repeated": repeated(lambda done, all_: tell(UNITS + recorded * done / all_, total)),
+    }
 
 
 def against_truth(tell: Tell, units: int = UNITS) -> dict[str, Any]:
@@ -181,28 +175,3 @@ def _products(inverse: FloatArray) -> FloatArray:
     # SF M (SF M)' = A A': its upper triangular root, by Cholesky from the last row on.
     upper = np.linalg.cholesky((matrix @ matrix.T)[::-1, ::-1])[::-1, ::-1]
     return np.array([upper[0, 0], upper[0, 1], upper[0, 2], upper[1, 1], upper[1, 2], upper[2, 2]])
-
-
-PARTS: Final[dict[str, Callable[[Tell], dict[str, Any]]]] = {
-    "gyroscope_units": against_truth,
-    "gyroscope_repeated": repeated,
-}
-
-TARGETS: Final = (
-    *(
-        Target(f"500 units, gyroscope's {name} outside 3 sd", f"gyroscope_units/outside_3_sd/{name}", 0.01, "of them")
-        for name in GYROSCOPE_PARAMETERS
-    ),
-    Target("500 units, gyroscope called weak though 24 positions tell all", "gyroscope_units/called_weak", 0, ""),
-    Target("gyroscope, 24 positions, time of a fit", "gyroscope_units/fit_ms", 1000.0, "ms"),
-    *(
-        Target(
-            f"gyroscope, variance of {name} over 5 recordings, mean of 20 units",
-            f"gyroscope_repeated/variances/right_round/{name}/mean",
-            limit,
-            "",
-        )
-        for name, limit in SEED1_TABLE_3.items()
-        if name not in OUT_OF_REACH
-    ),
-)

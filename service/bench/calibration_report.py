@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, Final
 
+from service.bench import calibration_noise
 from service.bench.tables import aligned, verdicts
+
+_TURNED: Final = {"straight": "straight", "right_round": "right round"}
 
 
 def tables(found: Mapping[str, Any]) -> str:
@@ -14,7 +17,10 @@ def tables(found: Mapping[str, Any]) -> str:
         "minimiser": _minimiser,
         "units": _units,
         "repeated": _repeated,
+        "gyroscope": _gyroscope,
         "recordings": _recordings,
+        "noise": _noise,
+        "left_out": _left_out,
         "targets": verdicts,
     }
     return "\n\n".join("\n".join(make(found[name])) for name, make in makers.items() if found.get(name))
@@ -50,6 +56,25 @@ def _repeated(found: Mapping[str, Any]) -> Iterable[str]:
     yield from aligned(rows)
 
 
+def _gyroscope(found: Mapping[str, Any]) -> Iterable[str]:
+    yield from ("the gyroscope:", *_units(found["units"]))
+    repeated = found["repeated"]
+    for protocol, variances in repeated["variances"].items():
+        yield ""
+        yield (
+            f"the gyroscope turned {_TURNED[protocol]}; variances over {repeated['recordings']} recordings of a unit, "
+            f"{repeated['units']} units; biases in rad/s:"
+        )
+        rows = [("", "mean", "largest", "least possible", "seed 1, table 3", "")]
+        for name, one in variances.items():
+            least, limit = one["cramer_rao"], one["seed1"]
+            verdict = "out of reach" if least is not None and least > limit else ""
+            told = "" if least is None else f"{least:.2e}"
+            rows.append((name, f"{one['mean']:.2e}", f"{one['largest']:.2e}", told, f"{limit:.2e}", verdict))
+        yield from aligned(rows)
+    yield "least possible: Cramer-Rao, by the data sheet's white noise of the rates alone"
+
+
 def _recordings(found: Mapping[str, Any]) -> Iterable[str]:
     yield "recordings; scale, misalignment and bias with their sd:"
     for name, one in found.items():
@@ -61,3 +86,31 @@ def _recordings(found: Mapping[str, Any]) -> Iterable[str]:
             yield f"    {'  '.join(pairs[i : i + 3])}"
         if one["advice"]:
             yield f"    {one['advice']}"
+
+
+def _noise(found: Mapping[str, Any]) -> Iterable[str]:
+    yield f"{calibration_noise.ADIS}: {found['duration_s']:.0f} s at rest; 95 % intervals in brackets:"
+    rows = [("axis", "random walk, deg/sqrt(h)", "floor, deg/h", "at, s", "floor, non-overlapping, deg/h")]
+    for name, one in found["axes"].items():
+        at = "" if one["floor_tau_s"] is None else f"{one['floor_tau_s']:.0f}"
+        cells = _interval(one["random_walk"], 2), _interval(one["floor"], 1), at, f"{one['floor_non_overlapping']:.1f}"
+        rows.append((name, *cells))
+    floor = "not reached" if found["floor_rms"] is None else f"{found['floor_rms']:.1f}"
+    rows.append(("rms", f"{found['random_walk_rms']:.2f}", floor, "", ""))
+    yield from aligned(rows)
+    low, high = calibration_noise.FLOOR
+    yield (
+        f"outside {low:.0f} to {high:.0f} deg/h, found without overlapping: {found['floors_outside']} floors, "
+        f"{found['floor_intervals_outside']} of them with their whole interval"
+    )
+
+
+def _interval(one: Mapping[str, float] | None, digits: int) -> str:
+    if one is None:
+        return "not reached"
+    return f"{one['value']:.{digits}f} ({one['low']:.{digits}f} to {one['high']:.{digits}f})"
+
+
+def _left_out(found: Mapping[str, str]) -> Iterable[str]:
+    for part, name in found.items():
+        yield f"{part}: left out, as there is no '{name}'; say by --recordings where the calibration recordings are"

@@ -72,8 +72,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--recordings",
         type=Path,
         metavar="DIR",
-        help="with --calibration: where its recordings are (default: ../shared/data beside the checkout; the part"
-        " 'recordings' is left out where there are none)",
+        help="with --calibration: where its recordings are (default: ../shared/data beside the checkout; the"
+        " parts 'recordings' and 'noise' are left out where there are none)",
     )
     parser.add_argument(
         "--drives",

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from core.calibration.fit import PARAMETERS
-from service.bench import calibration, minimiser
+from core.calibration.gyroscope import GYROSCOPE_PARAMETERS
+from service.bench import calibration, calibration_gyroscope, calibration_noise, calibration_recordings, minimiser
 from service.bench.calibration_report import tables
-from service.bench.calibration_targets import SEED1_TABLE_2, TARGETS
+from service.bench.calibration_targets import OUT_OF_REACH, SEED1_TABLE_2, SEED1_TABLE_3, TARGETS
 from service.bench.targets import judged
 from tests.commands import call
+from tests.recordings import recording
 
 
 def untold(done: float, total: float) -> None:
@@ -32,6 +35,48 @@ def test_units_and_repetitions_are_told_by_parameter():
     told = tables(found | {"targets": rows})
     assert "3 simulated units, 24 positions of 5 s" in told
     assert all(target in told for target in ("bias_z outside 3 sd", "variance of SFx My"))
+
+
+def test_the_gyroscope_is_told_by_parameter_and_what_is_out_of_reach_is_said():
+    units = calibration_gyroscope.against_truth(untold, 2)
+    repeated = calibration_gyroscope.repeated(untold, 1)
+    assert list(units["outside_3_sd"]) == list(GYROSCOPE_PARAMETERS)
+    assert list(repeated["variances"]) == ["straight", "right_round"]
+    for variances in repeated["variances"].values():
+        assert list(variances) == list(SEED1_TABLE_3)
+        beyond = {name for name, one in variances.items() if one["cramer_rao"] and one["cramer_rao"] > one["seed1"]}
+        assert beyond >= set(OUT_OF_REACH)
+    found = {"gyroscope": {"units": units, "repeated": repeated}}
+    rows = judged(found, TARGETS)
+    assert len(rows) == sum(target.figure.startswith("gyroscope/") for target in TARGETS)
+    told = tables(found | {"targets": rows})
+    assert "the gyroscope turned straight; variances over 5 recordings" in told
+    assert told.count("out of reach") >= 2 * len(OUT_OF_REACH)
+
+
+def test_the_noise_of_a_real_gyroscope_is_what_was_found_of_it_before():
+    place = recording("data", calibration_noise.ADIS).parent
+    found = {"noise": calibration_noise.measure(place, untold)}
+    rows = judged(found, TARGETS)
+    assert len(rows) == 4
+    assert all(row["met"] for row in rows)
+    # Its page has these three digits at 1 s: so it is by the non-overlapping estimator that it has its floors, too.
+    signal = np.rad2deg(calibration_noise.adis16405(place).recording.gyroscope)
+    at_1_s = [60.0 * calibration_noise.non_overlapping(axis, 100) for axis in signal.T]
+    assert np.round(at_1_s, 2).tolist() == [2.44, 2.61, 2.34]
+    assert "(23.0 to 28.2)" in tables(found)
+
+
+def test_parts_whose_recordings_are_missing_are_left_out_visibly(tmp_path, monkeypatch):
+    monkeypatch.setattr(calibration_recordings, "PLACE", tmp_path)
+    monkeypatch.setattr(calibration, "PARTS", {})
+    monkeypatch.setattr(calibration, "PART_NAMES", tuple(calibration.RECORDED))
+    found = calibration.measure([], None, lambda part, done, total: None)
+    assert found == {
+        "left_out": {"recordings": calibration_recordings.XSENS, "noise": calibration_noise.ADIS},
+        "targets": [],
+    }
+    assert "noise: left out, as there is no 'static_adis16405_2h8'" in tables(found)
 
 
 def test_a_target_that_was_missed_is_told():
@@ -53,8 +98,12 @@ def test_the_accelerometer_is_among_the_problems_and_all_minimisers_find_it():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--calibration", "--part", "units2"], "expected one of minimiser, units, repeated, recordings"),
+        (
+            ["--calibration", "--part", "units2"],
+            "minimiser, units, repeated, gyroscope, recordings, noise",
+        ),
         (["--calibration", "--recordings", "/nowhere"], "no 'calib_xsens_imu_tk'"),
+        (["--calibration", "--part", "noise", "--recordings", "/nowhere"], "no 'static_adis16405_2h8'"),
         (["--recordings", "/nowhere"], "--recordings is for --calibration"),
     ],
 )

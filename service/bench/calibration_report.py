@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Final
+from typing import Any
 
 from service.bench import calibration_noise
+from service.bench.calibration_targets import TURNED
 from service.bench.tables import aligned, verdicts
-
-_TURNED: Final = {"straight": "straight", "right_round": "right round"}
 
 
 def tables(found: Mapping[str, Any]) -> str:
@@ -62,7 +62,7 @@ def _gyroscope(found: Mapping[str, Any]) -> Iterable[str]:
     for protocol, variances in repeated["variances"].items():
         yield ""
         yield (
-            f"the gyroscope turned {_TURNED[protocol]}; variances over {repeated['recordings']} recordings of a unit, "
+            f"the gyroscope turned {TURNED[protocol]}; variances over {repeated['recordings']} recordings of a unit, "
             f"{repeated['units']} units; biases in rad/s:"
         )
         rows = [("", "mean", "largest", "least possible", "seed 1, table 3", "")]
@@ -72,7 +72,11 @@ def _gyroscope(found: Mapping[str, Any]) -> Iterable[str]:
             told = "" if least is None else f"{least:.2e}"
             rows.append((name, f"{one['mean']:.2e}", f"{one['largest']:.2e}", told, f"{limit:.2e}", verdict))
         yield from aligned(rows)
-    yield "least possible: Cramer-Rao, by the data sheet's white noise of the rates alone"
+    sure = math.sqrt(2.0 / (repeated["units"] * (repeated["recordings"] - 1)))
+    yield (
+        "least possible: Cramer-Rao, by the data sheet's white noise of the rates alone; a mean is sure to "
+        f"{100.0 * sure:.0f} %"
+    )
 
 
 def _recordings(found: Mapping[str, Any]) -> Iterable[str]:

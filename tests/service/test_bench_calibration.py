@@ -45,13 +45,13 @@ def test_the_gyroscope_is_told_by_parameter_and_what_is_out_of_reach_is_said():
     for variances in repeated["variances"].values():
         assert list(variances) == list(SEED1_TABLE_3)
         beyond = {name for name, one in variances.items() if one["cramer_rao"] and one["cramer_rao"] > one["seed1"]}
-        assert beyond >= set(OUT_OF_REACH)
+        assert beyond >= set(OUT_OF_REACH["right_round"])
     found = {"gyroscope": {"units": units, "repeated": repeated}}
     rows = judged(found, TARGETS)
     assert len(rows) == sum(target.figure.startswith("gyroscope/") for target in TARGETS)
     told = tables(found | {"targets": rows})
     assert "the gyroscope turned straight; variances over 5 recordings" in told
-    assert told.count("out of reach") >= 2 * len(OUT_OF_REACH)
+    assert told.count("out of reach") >= 2 * len(OUT_OF_REACH["right_round"])
 
 
 def test_the_noise_of_a_real_gyroscope_is_what_was_found_of_it_before():

@@ -106,12 +106,14 @@ def fit_gyroscope(
     at_rest = Rest.of(recording.t_s, shown, positions.start, positions.end, walk_radps / unit, EARTH_RATE_RADPS / unit)
     model = TurnProblem(recording.t_s, shown, spans, ups, at_rest, inverse, prior)
     x = np.zeros(12)
-    iterations = 0
-    for _ in range(ROUNDS):
-        model.weigh(x)
+    iterations, scatter = 0, 1.0
+    for last in range(ROUNDS, 0, -1):
+        model.weigh(x, scatter)
         minimum = minimise(model, x, RULES)
         x, iterations = minimum.x, iterations + minimum.iterations
-        model.leave_out_far_ones(x)
+        if last > 1:  # what is told after the last one is of the turns that it used
+            model.leave_out_far_ones(x)
+            scatter = max(1.0, scatter * model.scatter(x))
     fit = _told(model, minimum, iterations, positions, accelerometer, prior)
     return replace(fit, g_sensitivity=sensitivity, g_sensitivity_sd=sensitivity_sd)
 
@@ -135,7 +137,7 @@ def _told(
             "samples lost, or the accelerometer's fit is wrong; record again, turning slower than the full scale"
         )
     data_rows = len(minimum.residual) - 9
-    scatter = max(1.0, float(np.sum(minimum.residual[: data_rows - 3] ** 2)) / max(1, data_rows - 3 - 9))
+    scatter = max(1.0, model.scatter(x))
     rows = minimum.jacobian.copy()
     rows[: data_rows - 3] /= math.sqrt(scatter)
     covariance = np.linalg.inv(rows.T @ rows)

@@ -165,8 +165,12 @@ class TurnProblem:
         brought = np.einsum("kji,kj->ki", turns.C_a_from_e, before)
         return brought, np.einsum("kia,ki->ka", self.across, brought - after)
 
-    def weigh(self, x: FloatArray) -> None:
-        """Whiten by the noise of the rates over each turn, the bias' path, the Earth, and up before and after."""
+    def weigh(self, x: FloatArray, scatter: float = 1.0) -> None:
+        """Whiten by the noise of the rates over each turn, the bias' path, the Earth, and up before and after.
+
+        Turns that scatter by more than that, as those sampled too slowly do, must not outweigh the bias at rest:
+        ``scatter`` multiplies their variance.
+        """
         turns, inverse = self.turns(x), self.inverse(x)
         before, after = self.spans.before, self.spans.before + 1
         drift = np.einsum("ab,kb,cb->kac", inverse, self.drift_variance, inverse)
@@ -181,7 +185,14 @@ class TurnProblem:
             + self.ups.covariance[after]
         )
         seen = self.across.transpose(0, 2, 1) @ covariance @ self.across
-        self.whitening = np.linalg.inv(np.linalg.cholesky(seen))
+        self.whitening = np.linalg.inv(np.linalg.cholesky(scatter * seen))
+
+    def scatter(self, x: FloatArray) -> float:
+        """Variance of what the turns used miss over what ``weigh`` expects; nine parameters are theirs to fit."""
+        _, missed = self.missed(self.turns(x))
+        residual = np.einsum("kab,kb->ka", self.whitening, missed)[self.used]
+        squares = float(np.sum(residual**2))
+        return squares / max(1, residual.size - 9)
 
     def leave_out_far_ones(self, x: FloatArray) -> None:
         _, missed = self.missed(self.turns(x))

@@ -113,16 +113,19 @@ class Rest:
 def _density(shown: FloatArray, start: IntArray, end: IntArray, interval_s: float) -> FloatArray:
     """White noise by the scatter of means of a second within positions: filters and vibration at high rates count
     for no more than they do over a turn."""
-    length = max(1, round(BLOCK_S / interval_s))
-    squares, freedom = np.zeros(3), 0
-    for a, b in zip(start, end, strict=True):
-        blocks = (b - a) // length
-        if blocks >= 2:
-            means = shown[a : a + blocks * length].reshape(blocks, length, 3).mean(axis=1)
-            # Half the squared differences of neighbours: a bias that drifts is no noise (Allan variance).
-            squares += np.sum(np.diff(means, axis=0) ** 2, axis=0) / 2.0
-            freedom += blocks - 1
-    if freedom < 3:
+    for block_s in (BLOCK_S, 0.5 * BLOCK_S):  # positions of 2 s, less what may be motion at their ends, hold no two
+        length = max(1, round(block_s / interval_s))
+        squares, freedom = np.zeros(3), 0
+        for a, b in zip(start, end, strict=True):
+            blocks = (b - a) // length
+            if blocks >= 2:
+                means = shown[a : a + blocks * length].reshape(blocks, length, 3).mean(axis=1)
+                # Half the squared differences of neighbours: a bias that drifts is no noise (Allan variance).
+                squares += np.sum(np.diff(means, axis=0) ** 2, axis=0) / 2.0
+                freedom += blocks - 1
+        if freedom >= 3:
+            break
+    else:
         raise InvalidInputError(
             "the static positions are too short to tell the gyroscope's noise from its bias; "
             "record again and leave the box in each for 3 s or longer"

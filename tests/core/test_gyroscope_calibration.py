@@ -59,6 +59,24 @@ def test_truth_lies_within_the_stated_spread() -> None:
     assert 0.75 < np.sqrt(np.mean(errors**2)) < 1.15
 
 
+def test_turns_sampled_too_slowly_do_not_outweigh_the_bias_at_rest() -> None:
+    # Turns of 1.5 rad/s with tremor of 8-12 Hz, ten samples a second: integrated, they miss gravity by degrees.
+    slow = {"rate_hz": 10.0, "hold_s": 8.0, "initial_rest_s": 40.0}
+    fits = [fitted(simulated(seed, **slow)) for seed in range(6)]
+    assert all(fit.residual_rms > np.radians(1.0) for fit in fits)
+    biases = np.array([errors_in_sd(fit, GYRO)[6:9] for fit in fits])
+    assert np.abs(biases).max() < 3.5  # of 18; with all turns at full weight one was 35 off
+
+
+def test_holds_of_two_seconds_tell_noise_from_bias() -> None:
+    made = simulated(3, hold_s=2.0, initial_rest_s=2.0)
+    positions = find_static(made.recording)
+    fit = fit_gyroscope(
+        made.recording, positions, fit_accelerometer(positions, STANDARD_GRAVITY_MPS2), STANDARD_GRAVITY_MPS2
+    )
+    assert np.abs(errors_in_sd(fit, GYRO)).max() < 3.5
+
+
 def test_counts_are_calibrated_without_knowing_their_scale() -> None:
     triad = replace(GYRO, scale=(4820.0, 4700.0, 4790.0), bias=(32800.0, 32450.0, 32700.0))
     accelerometer = replace(ACCEL, scale=(415.0, 412.0, 414.0), bias=(33100.0, 33200.0, 32400.0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
@@ -15,6 +15,8 @@ Gain = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
 Sentence = Annotated[str, StringConstraints(max_length=2000, pattern=r"^[^\x00]*$")]
 Name = Annotated[str, StringConstraints(max_length=40, pattern=r"^[^\x00]*$")]
 Row = PerAxis[Finite]
+UNIT_SCALES: Final = (0.5, 2.0)
+"""Scales, measured over true, of a triad that shows m/s² or rad/s: data sheets allow 0.9 to 1.1."""
 
 
 class TriadSd(Model):
@@ -111,6 +113,18 @@ class Calibration(Model):
     gyroscope: GyroscopeCalibration | None = Field(default=None, description="Bias in rad/s.")
     magnetometer: MagnetometerCalibration | None = None
     warnings: tuple[Sentence, ...] = Field(default=(), max_length=50)
+
+    def check_units(self) -> None:
+        """Raise ValueError where it is of raw counts: what a drive or a packet holds is in m/s² and rad/s."""
+        low, high = UNIT_SCALES
+        for name in ("accelerometer", "gyroscope"):
+            triad: SensorCalibration | None = getattr(self, name)
+            if triad is not None and not all(low <= scale <= high for scale in triad.scale):
+                shown = ", ".join(f"{scale:g}" for scale in triad.scale)
+                raise ValueError(
+                    f"{name}: its scale is {shown}, as of raw counts; for m/s² and rad/s {low:g} to {high:g} is "
+                    "expected: calibrate a recording in these units"
+                )
 
 
 Origin = Literal["registration", "put", "run", "field"]

@@ -44,6 +44,9 @@ SURE_SD: Final = 3.0
 RESIDUAL_RAD: Final = math.radians(1.5)
 """Choice: integrated turns of some seconds miss gravity by 0.1-0.5 deg with MEMS gyroscopes."""
 
+ASIDE_RAD: Final = math.radians(20.0)
+"""Choice: chips on one board lie within 5 deg of each other; further, they are mounted or wired another way."""
+
 
 @dataclass(frozen=True, slots=True)
 class CalibrationOptions:
@@ -317,10 +320,18 @@ def _gyroscope_warnings(fit: TriadFit, accelerometer: TriadFit | None) -> tuple[
     if not isinstance(fit, GyroscopeFit):
         return tuple(found)
     if fit.left_out:
-        found.append(f"{fit.left_out} turns are not used: clipped, with samples missing, or far from what others say")
+        turns = "1 turn is" if fit.left_out == 1 else f"{fit.left_out} turns are"
+        found.append(f"{turns} not used: clipped, with samples missing, or far from what others say")
     if fit.residual_rms > RESIDUAL_RAD:
         found.append(
             f"turns miss gravity by {math.degrees(fit.residual_rms):.1f}° RMS: turn slower, and let go of the box after"
+        )
+    turned_rad = math.hypot(*fit.alignment_rad)
+    if turned_rad > ASIDE_RAD:
+        found.append(
+            f"its axes are turned by {math.degrees(turned_rad):.0f}° against the accelerometer's: if it is not mounted "
+            "so, axes are swapped or reversed in one of the two (a left-handed triad looks so, too): put them right "
+            "and calibrate again"
         )
     if fit.g_sensitivity.any():
         found.append("its bias follows specific force; that is taken out of the fit, and what is written holds without")

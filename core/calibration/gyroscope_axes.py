@@ -92,11 +92,11 @@ def first_guess(
             if then_missed < 0.5 * missed:
                 scale, missed, axes = found, then_missed, turned
     if not counts and missed < GOOD_RAD and not 1.0 / SCALE_OFF < scale < SCALE_OFF:
-        likely = (
-            "they look like degrees a second: multiply them by pi / 180"
-            if 57.3 / SCALE_OFF < scale < 57.3 * SCALE_OFF
-            else "they look like raw counts: say so (--counts), or convert them"
-        )
+        likely = "they look like raw counts: say so (--counts), or convert them"
+        if 57.3 / SCALE_OFF < scale < 57.3 * SCALE_OFF:
+            likely = "they look like degrees a second: multiply them by pi / 180"
+        elif scale < 1.0:
+            likely = "is their unit named too small, such as degrees a second for what is radians?"
         raise InvalidInputError(f"rates are {scale:.3g} times what the turns between positions ask for; {likely}")
     if not counts and not 1.0 / SCALE_OFF < scale < SCALE_OFF:
         return asked

@@ -37,10 +37,14 @@ _PREFIX: Final = {
     "gyroscope": r"(?:g|gyr_|gyro_)",
     "magnetometer": r"(?:m|mag_)",
 }
+_OTHER_MARKS: Final[Mapping[str, str]] = {";": "semicolons", "\t": "tabs", "|": "bars"}
 _HEADER_WITHIN: Final = 20
 """Lines in which the header is looked for, after what a logger writes before it."""
 _AT_REST: Final = (0.8, 1.2)
 """Norm of the specific force at rest over standard gravity, before calibration; data sheets allow 0.9 to 1.1."""
+
+_RATES_HZ: Final = (1.0, 20_000.0)
+"""Samples a second that a calibration can have: slower, a turn is lost between two; faster, no converter is."""
 
 AccelUnit = Literal["mps2", "g", "mg"]
 GyroUnit = Literal["radps", "dps", "mdps"]
@@ -102,6 +106,14 @@ def _read_file(path: Path, options: ReadingOptions, progress: Share) -> ReadReco
     lines = text.split("\n", _HEADER_WITHIN)[:_HEADER_WITHIN]
     found = [(number, axes) for number, line in enumerate(lines) if (axes := _sensors(header_cells(line)))]
     if not found:
+        if not text.strip():
+            raise RecordingError(f"{path}: is empty; expected a header and samples")
+        for number, line in enumerate(lines, start=1):
+            other = next((name for mark, name in _OTHER_MARKS.items() if _sensors(header_cells(line, mark))), None)
+            if other is not None:
+                raise RecordingError(
+                    f"{path}: line {number}: cells are parted by {other}; expected commas, and points in numbers"
+                )
         raise RecordingError(
             f"{path}: no header with ax_mps2, ay_mps2, az_mps2 (or ax_g …, ax_raw …) in its first lines; expected the "
             "columns of a drive folder's imu.csv"
@@ -135,7 +147,14 @@ def _read_file(path: Path, options: ReadingOptions, progress: Share) -> ReadReco
         raise RecordingError(f"{path}: {error}") from error
     if rows < 2:
         raise RecordingError(f"{path}: one row; expected a recording")
-    read = ReadRecording(path.name, recording, options.counts, 1.0 / float(np.median(np.diff(t_s))))
+    rate_hz = 1.0 / float(np.median(np.diff(t_s)))
+    if not _RATES_HZ[0] <= rate_hz <= _RATES_HZ[1]:
+        low, high = _RATES_HZ
+        raise RecordingError(
+            f"{path}: {rate_hz:.3g} samples a second; expected {low:g} to {high:g}: is the time in seconds, "
+            "not in milliseconds?"
+        )
+    read = ReadRecording(path.name, recording, options.counts, rate_hz)
     _check_norm(path, read)
     return read
 
@@ -207,7 +226,7 @@ def _check_norm(path: Path, read: ReadRecording) -> None:
     looks = next((name for name, rest in guesses.items() if low * rest <= norm <= high * rest), None)
     if looks is None and norm > 100.0:
         looks = "raw counts (say --counts)"
-    told = f"it looks like {looks}" if looks else "the unit is another, or the box was never at rest"
+    told = f"it looks like {looks}" if looks else "the unit is another, an axis is stuck, or the box was never at rest"
     raise RecordingError(f"{path}: the median of |a| is {norm:.4g}, at rest 9.8 m/s² ± 20 % is expected: {told}")
 
 

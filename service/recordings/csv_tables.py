@@ -7,6 +7,7 @@ import gzip
 import io
 import itertools
 import re
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -58,9 +59,9 @@ def read_table(
     return table_of(path, text, wanted, progress)
 
 
-def header_cells(line: str) -> list[str]:
-    """Names in a header row."""
-    return [cell.strip() for cell in next(csv.reader([line]), [])]
+def header_cells(line: str, mark: str = ",") -> list[str]:
+    """Names in a header row, parted by ``mark``."""
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=mark), [])]
 
 
 def table_of(path: Path, text: str, wanted: Sequence[str], progress: Share = untold) -> dict[str, FloatArray]:
@@ -122,7 +123,7 @@ def read_text(path: Path) -> str:
         raw = path.read_bytes()
         data = gzip.decompress(raw) if path.suffix == ".gz" else raw
         return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-    except (OSError, EOFError, UnicodeDecodeError) as error:
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: cannot be read: {error}; expected a CSV file in UTF-8") from error
 
 

@@ -207,6 +207,8 @@ CASES = {
     "short": (lambda t, f, r, _: (t[:100], f[:100], r[:100]), "the recording lasts 1.0 s"),
     "backwards": (lambda t, f, r, _: (t[::-1], f, r), "expected time to increase"),
     "nan": (with_nan, "accelerometer in row 501 of"),
+    "milliseconds": (lambda t, f, r, _: (1e3 * t, f, r), "is the time in seconds, not in milliseconds?"),
+    "stuck axis": (lambda t, f, r, _: (t, f * [1, 1e-3, 1] + [0, 9.8, 0], r), "an axis is stuck"),
 }  # fmt: skip
 
 
@@ -217,6 +219,44 @@ def test_what_cannot_be_calibrated_is_refused_and_nothing_written(capsys, tmp_pa
     files = ("--out", tmp_path / "calibration.json", "--report", tmp_path / "report.html")
     assert expected in refused(capsys, path, *GRAVITY, *files)
     assert [one.name for one in tmp_path.iterdir()] == ["bad.csv"]
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"", "is empty; expected a header and samples"),
+        (f"{HEADER}\n".encode(), "has a header and no rows"),
+        (HEADER.replace(",", ";").encode() + b"\n0;0;0;9,8;0;0;0\n", "line 1: cells are parted by semicolons"),
+        (HEADER.replace(",", "\t").encode() + b"\n", "cells are parted by tabs"),
+        (b"\x00\xff\xfe", "expected a CSV file in UTF-8"),
+    ],
+)
+def test_a_file_that_is_no_recording_is_refused_for_what_it_is(capsys, tmp_path, content, expected):
+    path = tmp_path / "bad.csv"
+    path.write_bytes(content)
+    assert expected in refused(capsys, path, "--json")
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:40] + b"\xff" * 40 + b[80:]])
+def test_a_damaged_gzip_file_is_refused(capsys, tmp_path, damage):
+    path = tmp_path / "bad.csv.gz"
+    path.write_bytes(damage(gzip.compress((HEADER + "\n" + "0,0,0,9.8,0,0,0\n" * 999).encode())))
+    assert "cannot be read" in refused(capsys, path, "--json")
+
+
+def test_a_left_handed_triad_is_told(capsys, tmp_path, box):
+    """Gravity's length does not tell it, and the gyroscope's axes come out half a turn aside."""
+    one = box.recording
+    path = write(tmp_path / "swapped.csv", HEADER, one.t_s, one.accelerometer[:, [1, 0, 2]], one.gyroscope)
+    found, err = calibrated(capsys, path, *GRAVITY)
+    assert "axes are swapped or reversed in one of the two" in err
+    assert any("axes are swapped" in one for one in found["gyroscope"]["warnings"])
+
+
+def test_a_calibration_of_counts_is_not_applied_to_a_drive(tmp_path):
+    with pytest.raises(ValueError, match="gyroscope: its scale is 6550, 1, 1, as of raw counts"):
+        Calibration.model_validate({"gyroscope": {"scale": [6550.0, 1.0, 1.0]}}).check_units()
+    Calibration.model_validate({"gyroscope": {"scale": [1.1, 0.9, 1.0]}}).check_units()
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from uuid import uuid4
 from sqlalchemy import Connection
 
 from schemas.notifications import CalibrationChangedBody, EventType
+from service.errors import InvalidParameterError
 from service.storage import calibrations
 from service.storage.calibrations import CalibrationRow, NewCalibration
 from service.storage.vehicles import VehicleRef
@@ -26,7 +27,11 @@ class Given:
 
 
 def give(connection: Connection, ref: VehicleRef, new: NewCalibration) -> Given:
-    """Store a version in the caller's transaction."""
+    """Store a version in the caller's transaction; raises InvalidParameterError where it is of raw counts."""
+    try:
+        new.calibration.check_units()
+    except ValueError as error:
+        raise InvalidParameterError(f"calibration: {error}") from None
     now_ns = time.time_ns()
     row = calibrations.put(connection, ref.pk, new, now_ns)
     body = CalibrationChangedBody(

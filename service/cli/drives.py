@@ -53,6 +53,11 @@ def open_drive(arguments: argparse.Namespace, **switches: Any) -> tuple[Drive, S
     """The drive and the settings of its session; ``switches`` as of ``fuse_config``."""
     drive = read_with_progress(arguments.drive)
     calibration = read_settings(arguments.calibration, Calibration, "a calibration as PUT …/calibration takes")
+    if calibration is not None:
+        try:
+            calibration.check_units()
+        except ValueError as error:
+            raise UsageError(f"{arguments.calibration}: {error}") from None
     noise = read_settings(arguments.noise, SensorNoise, "what 'telefuse noise --json' prints: SI units")
     return drive, fuse_config(vehicle_config(drive, noise), calibration, **switches)
 

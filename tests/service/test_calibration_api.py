@@ -127,6 +127,14 @@ def test_the_same_put_again_is_no_other_version_and_a_change_meets_what_its_auth
     assert car.get(PATH).json()["version"] == 2
 
 
+def test_one_of_raw_counts_is_refused_since_packets_are_in_units(car):
+    counts = {"accelerometer": SENSOR | {"scale": [1670.0, 1660.0, 1680.0]}}
+    for answer in (car.put(PATH, json=counts), car.put("/v1/vehicles/car", json={"config": {"calibration": counts}})):
+        assert (answer.status_code, answer.json()["code"]) == (422, "invalid_request")
+        assert "as of raw counts" in answer.json()["detail"]
+    assert car.get(PATH).json()["version"] == 0
+
+
 def test_history_comes_in_pages(car):
     for number in range(5):
         car.put(PATH, json={"accelerometer": SENSOR | {"bias": [number, 0, 0]}})

@@ -191,8 +191,7 @@ class TurnProblem:
         """Variance of what the turns used miss over what ``weigh`` expects; nine parameters are theirs to fit."""
         _, missed = self.missed(self.turns(x))
         residual = np.einsum("kab,kb->ka", self.whitening, missed)[self.used]
-        squares = float(np.sum(residual**2))
-        return squares / max(1, residual.size - 9)
+        return float(np.sum(residual**2)) / max(1, int(residual.size) - 9)
 
     def leave_out_far_ones(self, x: FloatArray) -> None:
         _, missed = self.missed(self.turns(x))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.measurements import GNSS_COLUMNS, FloatArray, TimeArray
-from core.navigation.filter import Aids
+from core.navigation.aids import Aids
 
 PAST_S: Final = 60.0
 """How much is kept, s, 10 to 300. A choice: mountings are found within half a minute of the first pull-away."""

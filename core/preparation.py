@@ -18,8 +18,8 @@ from core.box_clock import LATEST_NS
 from core.held_axes import HeldAxes
 from core.measurements import FloatArray, Measurements, TimeArray
 from core.navigation.admission import usable_fixes
+from core.navigation.aids import Aids, Series
 from core.navigation.alignment import Start
-from core.navigation.filter import Aids, Series
 from core.navigation.mounting import MountingFinder
 from core.past import BodySamples, Past
 from core.rotation import matrix_from_rpy

@@ -13,20 +13,21 @@ import numpy.typing as npt
 from core.accident.detector import ImpactDetector
 from core.accident.events import Impact, VehicleMotion
 from core.accident.paper_rule import PaperRule
+from core.accident.placing import RECENT_S, Accident, newest, placed, told_until
 from core.accident.thresholds import DetectorThresholds
 from core.box_clock import ANEW, LET_GO, STEPPED, BoxClock
 from core.calibration.drift import Biases, BiasUpdate
 from core.calibration.in_force import BoxCalibration, CalibrationInForce, parts_at
 from core.driving.trips import Trip, TripThresholds, TripTracker
-from core.earth import STANDARD_GRAVITY_MPS2, radii_m
+from core.earth import STANDARD_GRAVITY_MPS2
 from core.held_axes import HeldAxes
 from core.measurements import Measurements
 from core.navigation import state
-from core.navigation.alignment import next_second_ns
-from core.navigation.filter import Aids, FilterConfig, NavigationFilter
+from core.navigation.aids import Aids
+from core.navigation.filter import FilterConfig, NavigationFilter
 from core.navigation.kernel import CLIPPED, HELD
 from core.navigation.recalibration import biases
-from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
+from core.navigation.track import Track
 from core.navigation.warming import Warming
 from core.past import BodySamples
 from core.preparation import FoundMounting, Mounting, Preparation, with_valid_samples
@@ -35,12 +36,6 @@ from core.sensors import MagnetometerCalibration, TriadCalibration
 from core.snapshot import pack, unpack
 
 SNAPSHOT_VERSION: Final = 3
-RECENT_S: Final = 5.0
-"""Track kept to place an impact that is decided after it began."""
-CARRIED_ON_S: Final = 2.0
-"""A row older than this is not carried on by its velocity: two missed fixes at 1 Hz."""
-UNSEEN_MPS: Final = 15.0
-"""What a vehicle may do unseen, for the spread of a place that is old: 54 km/h, a choice."""
 KNOWN_MOUNTING_SD_RAD: Final = 0.01
 """Spread of a mounting that was measured: half a degree, by hand."""
 AXES_SD_RAD: Final = 0.014
@@ -49,24 +44,6 @@ AXES_SD_RAD: Final = 0.014
 _CLOCK_COUNTS: Final = {STEPPED: "clock.stepped_back", LET_GO: "clock.caught_up", ANEW: "clock.begun_anew"}
 
 Arrays = dict[str, npt.NDArray[np.generic]]
-
-
-@dataclass(frozen=True, slots=True)
-class Accident:
-    """An impact with its place: where the vehicle was at ``impact.t_ns``, and how sure that is.
-
-    Without any fix yet the place is NaN. Angles rad, spreads m.
-    """
-
-    impact: Impact
-    lat_rad: float
-    lon_rad: float
-    alt_m: float
-    sd_n_m: float
-    sd_e_m: float
-    cov_ne_m2: float
-    heading_rad: float
-    mode: Mode
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +145,7 @@ class Session:
         )
         self._detector_stage = f"detector.{config.detector}"
         self._trips = TripTracker(config.trips)
-        self._recent = Track(np.empty(0, np.int64), np.empty((0, len(TRACK_COLUMNS))))
+        self._recent = Track.joined([])
 
     def step(self, measurements: Measurements) -> Outputs:
         """Take the next measurements. Never raises for what they hold."""
@@ -212,8 +189,8 @@ class Session:
                         self._in_force.follower.trip_ended(trip.end_t_ns)
         track = Track.joined(tracks)
         rows = Track.joined([self._recent, track])
-        accidents = tuple(_place(impact, _told_until(rows, impact.decided_t_ns)) for impact in impacts)
-        self._recent = _newest(rows, RECENT_S)
+        accidents = tuple(placed(impact, told_until(rows, impact.decided_t_ns)) for impact in impacts)
+        self._recent = newest(rows, RECENT_S)
         self._add_counts(self._filter.counts - before, counts)
         return Outputs(track, accidents, tuple(trips), counts, tuple(updates))
 
@@ -388,52 +365,3 @@ class Session:
 
 def _unsound(samples: BodySamples) -> npt.NDArray[np.float64]:
     return CLIPPED * samples.saturated + HELD * samples.held
-
-
-def _newest(track: Track, span_s: float) -> Track:
-    """The rows of the last ``span_s`` and the one before them, which holds until the first of these."""
-    if not len(track.t_ns):
-        return track
-    first = int(np.searchsorted(track.t_ns, track.t_ns[-1] - int(span_s * 1e9), side="right")) - 1
-    return Track(track.t_ns[max(first, 0) :], track.values[max(first, 0) :])
-
-
-def _told_until(track: Track, t_ns: int) -> Track:
-    """The rows that were there when the sample at ``t_ns`` had been taken, however samples come in packets.
-
-    While aligning, a row is told at the whole second after its fix.
-    """
-    told_ns = np.where(track.column("mode") == Mode.ALIGNING, next_second_ns(track.t_ns), track.t_ns)
-    count = int(np.searchsorted(told_ns, t_ns, side="right"))
-    return Track(track.t_ns[:count], track.values[:count])
-
-
-def _place(impact: Impact, track: Track) -> Accident:
-    """Where the vehicle was when the impact began: the row before it, carried on by its velocity.
-
-    Where rows have ceased (the filter aligns anew), the last one stays the best that is known; what the vehicle may
-    have gone since is added to its spread instead.
-    """
-    if not len(track.t_ns):
-        nan = math.nan
-        return Accident(impact, nan, nan, nan, nan, nan, nan, nan, Mode.ALIGNING)
-    at = max(int(np.searchsorted(track.t_ns, impact.t_ns, side="right")) - 1, 0)
-    row = {name: float(track.values[at, index]) for name, index in TRACK.items()}
-    since_s = (impact.t_ns - int(track.t_ns[at])) * 1e-9
-    north_mps, east_mps, down_mps = (
-        row[name] if math.isfinite(row[name]) else 0.0 for name in ("vn_mps", "ve_mps", "vd_mps")
-    )
-    ahead_s = since_s if abs(since_s) <= CARRIED_ON_S else 0.0
-    gone_m = 0.0 if ahead_s == since_s else since_s * max(math.hypot(north_mps, east_mps), UNSEEN_MPS)
-    meridian, transverse = radii_m(row["lat_rad"])
-    return Accident(
-        impact=impact,
-        lat_rad=row["lat_rad"] + north_mps * ahead_s / meridian,
-        lon_rad=row["lon_rad"] + east_mps * ahead_s / (transverse * math.cos(row["lat_rad"])),
-        alt_m=row["alt_m"] - down_mps * ahead_s,
-        sd_n_m=math.hypot(row["sd_n_m"], gone_m),
-        sd_e_m=math.hypot(row["sd_e_m"], gone_m),
-        cov_ne_m2=row["cov_ne_m2"],
-        heading_rad=row["yaw_rad"],
-        mode=Mode(int(row["mode"])),
-    )

@@ -7,12 +7,13 @@ import math
 import numpy as np
 
 from core.accident.events import Impact, Severity
+from core.accident.placing import Accident
 from core.measurements import GNSS, GNSS_COLUMNS, Measurements
 from core.navigation import state
 from core.navigation.records import AidRecords
 from core.navigation.solution import SLOW, SLOW_COLUMNS, Solution
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
-from core.session import Accident, MountingEstimate, SessionConfig
+from core.session import MountingEstimate, SessionConfig
 from service.recordings.drive_folder import Drive, Reference
 from service.recordings.fusing import Fused, Outage, figures
 from service.reports.navigation import NavigationReport

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.atmosphere import pressure_height_m
-from core.measurements import GNSS, FloatArray, TimeArray
+from core.measurements import FloatArray, TimeArray
 from core.navigation import kernel, state
 from core.navigation.admission import (
     thinned,
@@ -24,43 +24,21 @@ from core.navigation.admission import (
     usable_pressures,
     usable_speeds,
 )
-from core.navigation.alignment import SECOND_NS, Aligner, InitialState, Start, next_second_ns, turned
+from core.navigation.aids import AIDS_OF_KIND, Aids, Series, no_series
+from core.navigation.alignment import Aligner, InitialState, Start, next_second_ns, turned
 from core.navigation.lateness import Recent
 from core.navigation.nodes import NODE_WIDTH
 from core.navigation.pending import Pending, pending
 from core.navigation.recalibration import forget_biases, loosen_biases, shift_biases
 from core.navigation.recorder import Recorder
 from core.navigation.records import RECORD_COLUMNS, AidRecords
-from core.navigation.starting import begin
-from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
+from core.navigation.starting import begin, fix_row
+from core.navigation.track import TRACK_COLUMNS, Track, empty_table, joined_tables
 from core.navigation.tuning import PARAMETER, Tuning
 
-Series = tuple[TimeArray, FloatArray]
-
-_AIDS_OF_KIND: Final = {
-    state.K_GNSS: (state.A_POSITION, state.A_HEIGHT, state.A_VELOCITY),
-    state.K_SPEED: (state.A_SPEED,),
-    state.K_MAGNETIC: (state.A_MAGNETOMETER,),
-    state.K_BARO: (state.A_BAROMETER,),
-}
-"""What a row of each kind is counted and recorded as; the first stands for the whole."""
 _RECORDS_A_FIX: Final = 6
 _RECORDS_A_CONSTRAINT: Final = 6
 """Most records that a fix (two of position, one of height, three of velocity) and a constraint (standstill) bring."""
-
-
-def _no_series(columns: int | None = None) -> Series:
-    return np.empty(0, np.int64), np.empty(0) if columns is None else np.empty((0, columns))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Aids:
-    """Samples in body axes besides the inertial ones: each a pair of times (n,) and rows."""
-
-    gnss: Series
-    magnetic_b_ut: Series = field(default_factory=lambda: _no_series(3))
-    speed: Series = field(default_factory=_no_series)
-    pressure_pa: Series = field(default_factory=_no_series)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,8 +97,8 @@ class NavigationFilter:
         self._aligned = np.zeros(1, np.bool_)
         self._known = np.zeros(1, np.bool_)  # biases and mounting were estimated before
         self._evaluation_ns = np.zeros(1, np.int64)
-        self._newest_aid_ns = np.zeros(len(_AIDS_OF_KIND), np.int64)
-        self._used_aid_ns = np.zeros(len(_AIDS_OF_KIND), np.int64)
+        self._newest_aid_ns = np.zeros(len(AIDS_OF_KIND), np.int64)
+        self._used_aid_ns = np.zeros(len(AIDS_OF_KIND), np.int64)
         self._aligner = Aligner(self.config.tuning)
         # What was refused or given up outside of the kernel: going back does not undo it.
         self._own_counts = np.zeros((len(state.AIDS), len(state.OUTCOMES)), np.int64)
@@ -172,7 +150,7 @@ class NavigationFilter:
                 used, track = self._align(imu_t_ns[begin:], f_b[begin:], omega_b[begin:])
                 rows.append(track)
                 if self.recorder is not None:
-                    self.recorder.add(_no_nodes(), track, _no_records())
+                    self.recorder.add(joined_tables([], NODE_WIDTH), track, AidRecords.joined([]))
             begin += used
         return FilterOutput(Track.joined(rows), epochs, AidRecords.joined(records))
 
@@ -209,7 +187,7 @@ class NavigationFilter:
             in_range = usable(values)
             kept = in_time & in_range
             self._newest_aid_ns[kind] = newest_ns
-            aid = _AIDS_OF_KIND[kind][0]
+            aid = AIDS_OF_KIND[kind][0]
             self._own_counts[aid, state.REJECTED_TIME] += np.count_nonzero(~in_time)
             self._own_counts[aid, state.REJECTED_RANGE] += np.count_nonzero(in_time & ~in_range)
             t_ns, values = t_ns[kept], values[kept]
@@ -269,7 +247,7 @@ class NavigationFilter:
             self._pending = self._pending.join(Pending(early.t_ns, early.t_ns, early.rows))
         late = late.take(~ahead)
         while len(late) and (slot := self._recent.slot_before(int(late.t_ns[0]))) is None:
-            self._own_counts[_AIDS_OF_KIND[round(late.rows[0, 0])][0], state.REJECTED_TIME] += 1
+            self._own_counts[AIDS_OF_KIND[round(late.rows[0, 0])][0], state.REJECTED_TIME] += 1
             late = late.take(slice(1, None))
         if not len(late) or slot is None:
             return
@@ -287,7 +265,7 @@ class NavigationFilter:
             recent.t_ns[again], f_b, omega_b, np.ascontiguousarray(samples[:, 6]), aids, epochs
         )
         own = np.zeros(len(told.t_ns), np.bool_)
-        for kind, aids_of_kind in _AIDS_OF_KIND.items():
+        for kind, aids_of_kind in AIDS_OF_KIND.items():
             own |= np.isin(told.column("aid"), aids_of_kind) & np.isin(told.t_ns, late.of(kind)[0])
         records.append(AidRecords(told.t_ns[own], told.values[own]))
         if stopped != kernel.STOPPED_END:
@@ -312,12 +290,14 @@ class NavigationFilter:
             return len(t_ns) if interval_ns == 0 else min(len(t_ns), span_ns // interval_ns + 2)
 
         n_aids, constraints = len(aids), instants(tuning.constraint_interval_s)
-        rows = Track(*_table(instants(tuning.output_interval_s), len(TRACK_COLUMNS)))
-        log = AidRecords(*_table(_RECORDS_A_CONSTRAINT * constraints + _RECORDS_A_FIX * n_aids, len(RECORD_COLUMNS)))
+        rows = Track(*empty_table(instants(tuning.output_interval_s), len(TRACK_COLUMNS)))
+        log = AidRecords(
+            *empty_table(_RECORDS_A_CONSTRAINT * constraints + _RECORDS_A_FIX * n_aids, len(RECORD_COLUMNS))
+        )
         n_nodes = 0
         if self.recorder is not None:
             n_nodes = instants(tuning.covariance_interval_s) + constraints + n_aids
-        nodes = _table(n_nodes, NODE_WIDTH)
+        nodes = empty_table(n_nodes, NODE_WIDTH)
         used, used_aids, n_rows, stopped = kernel.run(
             *self.kernel_arguments(
                 t_ns, f_b, omega_b, unsound, aids.t_ns, aids.rows, epochs,
@@ -365,7 +345,7 @@ class NavigationFilter:
         late = int(np.searchsorted(t_ns, self.t_ns, side="right"))
         if late:
             self._own_counts[state.A_IMU, state.REJECTED_TIME] += late
-            return late, _no_track()
+            return late, Track.joined([])
         if self._evaluation_ns[0] == 0:
             self._evaluation_ns[0] = next_second_ns(t_ns[0])
         boundary = int(self._evaluation_ns[0])
@@ -375,10 +355,10 @@ class NavigationFilter:
             self.ti[state.T_NOW] = t_ns[before - 1]
             self.x[state.X_F : state.X_F + 3], self.x[state.X_W : state.X_W + 3] = f_b[before - 1], omega_b[before - 1]
         if before == len(t_ns):
-            return before, _no_track()
+            return before, Track.joined([])
         self._hand_aids_over(boundary)
         found = self._aligner.evaluate(boundary, self.start)
-        row = self._aligning_row(boundary)
+        row = fix_row(self._aligner, boundary)
         self._evaluation_ns[0] = next_second_ns(t_ns[before])
         if found is not None:
             self._start(found)
@@ -420,31 +400,13 @@ class NavigationFilter:
         self._evaluation_ns[0] = t_ns
         self._aligner.forget()
         self._aligner.add_imu(recent[0], recent[1][:, :3], recent[1][:, 3:])
-        self._aligner.add_aids(gnss, _no_series(3), _no_series())
+        self._aligner.add_aids(gnss, no_series(3), no_series())
 
     def _hand_aids_over(self, boundary: int) -> None:
         before = (self._pending.t_ns < boundary) & (self._pending.from_ns <= boundary)
         own = self._pending.take(before)
         self._pending = self._pending.take(~before)
         self._aligner.add_aids(own.of(state.K_GNSS), own.of(state.K_MAGNETIC), own.of(state.K_SPEED))
-
-    def _aligning_row(self, boundary: int) -> Track:
-        """Where GNSS alone puts the vehicle, for those who watch while the filter aligns."""
-        gnss_t, gnss = self._aligner.gnss_t_ns, self._aligner.gnss
-        recent = gnss_t >= boundary - SECOND_NS
-        if not recent.any():
-            return _no_track()
-        fix = gnss[recent][-1]
-        row = np.full((1, len(TRACK_COLUMNS)), np.nan)
-        for name in ("lat_rad", "lon_rad", "alt_m", "vn_mps", "ve_mps", "vd_mps"):
-            row[0, TRACK[name]] = fix[GNSS[name]]
-        sd_h_m, sd_v_m = self._aligner.fix_sd_m(fix)
-        row[0, TRACK["sd_n_m"]] = row[0, TRACK["sd_e_m"]] = sd_h_m
-        row[0, TRACK["sd_d_m"]] = sd_v_m
-        row[0, TRACK["cov_ne_m2"]] = 0.0
-        row[0, TRACK["gnss_used"]] = 1.0
-        row[0, TRACK["mode"]] = Mode.ALIGNING
-        return Track(gnss_t[recent][-1:], row)
 
     def _start(self, found: InitialState) -> None:
         """Begin to navigate from an alignment; what was known of biases and mounting is kept."""
@@ -508,19 +470,3 @@ _ARRAYS: Final = (
     "_used_aid_ns",
     "_own_counts",
 )
-
-
-def _table(rows: int, columns: int) -> tuple[TimeArray, FloatArray]:
-    return np.empty(rows, np.int64), np.empty((rows, columns))
-
-
-def _no_track() -> Track:
-    return Track(*_table(0, len(TRACK_COLUMNS)))
-
-
-def _no_records() -> AidRecords:
-    return AidRecords(*_table(0, len(RECORD_COLUMNS)))
-
-
-def _no_nodes() -> tuple[TimeArray, FloatArray]:
-    return _table(0, NODE_WIDTH)

@@ -1,4 +1,4 @@
-"""The filter's state and covariance at the instant at which an alignment was found."""
+"""The filter's state and covariance at the instant at which an alignment was found, and what is told until then."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import Final
 import numpy as np
 
 from core.earth import radii_m
-from core.measurements import FloatArray, TimeArray
+from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation import state
-from core.navigation.alignment import InitialState
+from core.navigation.alignment import SECOND_NS, Aligner, InitialState
 from core.navigation.gnss_aiding import slow_share
 from core.navigation.mechanization import normalised, renew_mounting, start_frame
+from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.navigation.tuning import Tuning
 from core.rotation import matrix_from_quaternion
 
@@ -106,6 +107,26 @@ def begin(
             p[biases, biases] = variance
     renew_mounting(x)
     return p
+
+
+def fix_row(aligner: Aligner, boundary_ns: int) -> Track:
+    """Where GNSS alone puts the vehicle, for those who watch while the filter aligns: a row, or none without a fix in
+    the second before a time."""
+    gnss_t, gnss = aligner.gnss_t_ns, aligner.gnss
+    recent = gnss_t >= boundary_ns - SECOND_NS
+    if not recent.any():
+        return Track.joined([])
+    fix = gnss[recent][-1]
+    row = np.full((1, len(TRACK_COLUMNS)), np.nan)
+    for name in ("lat_rad", "lon_rad", "alt_m", "vn_mps", "ve_mps", "vd_mps"):
+        row[0, TRACK[name]] = fix[GNSS[name]]
+    sd_h_m, sd_v_m = aligner.fix_sd_m(fix)
+    row[0, TRACK["sd_n_m"]] = row[0, TRACK["sd_e_m"]] = sd_h_m
+    row[0, TRACK["sd_d_m"]] = sd_v_m
+    row[0, TRACK["cov_ne_m2"]] = 0.0
+    row[0, TRACK["gnss_used"]] = 1.0
+    row[0, TRACK["mode"]] = Mode.ALIGNING
+    return Track(gnss_t[recent][-1:], row)
 
 
 def _carry_fix_error(

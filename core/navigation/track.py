@@ -15,10 +15,15 @@ Table = tuple[TimeArray, FloatArray]
 """Times (n,) and a row of figures for each, (n, columns)."""
 
 
+def empty_table(rows: int, columns: int) -> Table:
+    """Room for rows that are to be written."""
+    return np.empty(rows, np.int64), np.empty((rows, columns))
+
+
 def joined_tables(parts: Sequence[Table], columns: int) -> Table:
     """All rows of some tables, one after the other."""
     if not parts:
-        return np.empty(0, np.int64), np.empty((0, columns))
+        return empty_table(0, columns)
     if len(parts) == 1:
         return parts[0]
     return np.concatenate([t_ns for t_ns, _ in parts]), np.concatenate([rows for _, rows in parts])

@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from core.measurements import GNSS, GNSS_COLUMNS, FloatArray, TimeArray
 from core.navigation import kernel
-from core.navigation.filter import Aids, FilterConfig, NavigationFilter
+from core.navigation.aids import Aids
+from core.navigation.filter import FilterConfig, NavigationFilter
 from core.navigation.nodes import NODE_WIDTH
 from core.navigation.pending import Pending, pending
 from core.navigation.records import RECORD_COLUMNS

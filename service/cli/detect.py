@@ -8,7 +8,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from core.session import Accident
+from core.accident.placing import Accident
 from service.cli.drives import add_drive, fuse_with_progress, open_drive
 
 

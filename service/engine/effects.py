@@ -16,11 +16,12 @@ from uuid import UUID, uuid5
 import numpy as np
 from sqlalchemy import Connection, and_, not_, or_, select, update
 
+from core.accident.placing import Accident
 from core.calibration.drift import BiasUpdate
 from core.driving.trips import Trip
 from core.navigation.track import TRACK, Mode, Track
 from core.navigation.tuning import Tuning
-from core.session import Accident, Outputs
+from core.session import Outputs
 from schemas.calibration import Calibration
 from schemas.notifications import AccidentBody, CalibrationDriftBody, EventBody, EventType, TripBody
 from service.engine import checkpoints

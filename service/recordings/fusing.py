@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from core.accident.placing import Accident
 from core.earth import ned_offset_m
 from core.measurements import GNSS, FloatArray, Measurements, TimeArray
 from core.navigation.filter import FilterConfig
@@ -21,7 +22,7 @@ from core.navigation.smoother import causal, smoothed
 from core.navigation.solution import Solution
 from core.navigation.track import Mode, Track
 from core.rotation import wrap_angle_rad
-from core.session import Accident, MountingEstimate, Session, SessionConfig
+from core.session import MountingEstimate, Session, SessionConfig
 from schemas.calibration import Calibration
 from schemas.vehicles import SensorNoise, VehicleConfig
 from service.engine.sessions import box_calibration, session_config, warm_up

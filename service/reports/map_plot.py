@@ -8,12 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from core.accident.placing import Accident
 from core.earth import ECCENTRICITY_SQ, SEMI_MAJOR_M
 from core.measurements import GNSS, FloatArray
 from core.navigation import state
 from core.navigation.records import AidRecords
 from core.navigation.track import Mode, Track
-from core.session import Accident
 from service.recordings.drive_folder import Drive
 from service.recordings.fusing import Outage
 from service.reports.comparison import inside

@@ -10,10 +10,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from core.accident.placing import Accident
 from core.measurements import GNSS
 from core.navigation.records import AidRecords
 from core.navigation.solution import Solution
-from core.session import Accident, SessionConfig
+from core.session import SessionConfig
 from core.tunables import Tunables, describe
 from service.recordings.drive_folder import Drive
 from service.recordings.fusing import Fused, Outage

@@ -11,8 +11,9 @@ import pytest
 from core.earth import ned_offset_m
 from core.measurements import GNSS
 from core.navigation import state
+from core.navigation.aids import Aids
 from core.navigation.alignment import level, magnetic_azimuth, next_second_ns
-from core.navigation.filter import Aids, FilterConfig, NavigationFilter
+from core.navigation.filter import FilterConfig, NavigationFilter
 from core.navigation.track import TRACK, Mode
 from core.rotation import matrix_from_quaternion, matrix_from_rpy, rpy_from_matrix, wrap_angle_rad
 from core.simulation.scenarios import simulate

@@ -10,7 +10,8 @@ import pytest
 from core.earth import radii_m
 from core.measurements import GNSS, GNSS_COLUMNS
 from core.navigation import state
-from core.navigation.filter import Aids, FilterConfig, NavigationFilter
+from core.navigation.aids import Aids
+from core.navigation.filter import FilterConfig, NavigationFilter
 from core.navigation.track import TRACK, Mode
 from core.navigation.tuning import Tuning
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from core.navigation import state
-from core.navigation.filter import Aids, FilterConfig, NavigationFilter
+from core.navigation.aids import Aids
+from core.navigation.filter import FilterConfig, NavigationFilter
 from core.navigation.recorder import Recorder
 from core.navigation.tuning import Tuning
 from core.preparation import Mounting

@@ -13,7 +13,8 @@ from scipy.stats import chi2
 from core.earth import ned_offset_m, radii_m
 from core.measurements import GNSS, GNSS_COLUMNS
 from core.navigation import state
-from core.navigation.filter import Aids, FilterConfig, NavigationFilter
+from core.navigation.aids import Aids
+from core.navigation.filter import FilterConfig, NavigationFilter
 from core.navigation.recorder import Recorder
 from core.navigation.track import TRACK, Mode
 from core.navigation.tuning import Tuning

@@ -15,11 +15,12 @@ from sqlalchemy import Engine as Database
 from sqlalchemy import select, text
 
 from core.accident.events import Impact, Severity
+from core.accident.placing import Accident
 from core.driving.trips import Trip
 from core.errors import SnapshotError
 from core.measurements import Measurements
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
-from core.session import Accident, Outputs
+from core.session import Outputs
 from schemas.packet import encode_packet
 from schemas.vehicles import VehicleConfig
 from service.engine.shard import EngineConfig

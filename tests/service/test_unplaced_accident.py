@@ -9,9 +9,10 @@ import pytest
 from sqlalchemy import select
 
 from core.accident.events import Impact, Severity
+from core.accident.placing import Accident, placed
 from core.measurements import GNSS_COLUMNS, Measurements
 from core.navigation.track import TRACK_COLUMNS, Mode, Track
-from core.session import Accident, Outputs, Session, SessionConfig, _place
+from core.session import Outputs, Session, SessionConfig
 from core.simulation.scenarios import simulate
 from service.engine.effects import Effects
 from service.ingest.journal_rows import JournalEntry
@@ -69,8 +70,8 @@ def test_an_old_place_is_kept_with_a_spread_that_says_how_old() -> None:
     )
     row = np.zeros((1, len(TRACK_COLUMNS)))
     row[0, 3] = 20.0  # northwards
-    fresh: Accident = _place(impact, Track(np.array([99_500_000_000]), row))
-    old: Accident = _place(impact, Track(np.array([40_000_000_000]), row))
+    fresh: Accident = placed(impact, Track(np.array([99_500_000_000]), row))
+    old: Accident = placed(impact, Track(np.array([40_000_000_000]), row))
     assert fresh.lat_rad * 6.37e6 == pytest.approx(10.0, rel=0.01)  # half a second at 20 m/s; sphere against ellipsoid
     assert old.lat_rad == 0.0
     assert old.sd_n_m == pytest.approx(60 * 20.0)

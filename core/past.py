@@ -17,6 +17,9 @@ PAST_S: Final = 60.0
 _AIDS: Final = {"gnss": (len(GNSS_COLUMNS),), "magnetic_b_ut": (3,), "speed": (), "pressure_pa": ()}
 """Series of ``Aids`` and the shape of a row."""
 
+_FLAGS: Final = ("saturated", "held")
+"""Of ``BodySamples``, what is 0 or 1."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodySamples:
@@ -82,6 +85,8 @@ class Past:
         samples, aids = self.joined()
         kept: dict[str, npt.NDArray[np.generic]] = {"from_ns": self._from_ns}
         kept |= {name: getattr(samples, name) for name in BodySamples.__slots__}
+        # A byte holds a flag as exactly as eight do, and a minute has many.
+        kept |= {name: kept[name].astype(np.uint8) for name in _FLAGS}
         for name in _AIDS:
             kept[f"{name}.t_ns"], kept[f"{name}.rows"] = getattr(aids, name)
         return kept
@@ -89,7 +94,9 @@ class Past:
     def load(self, arrays: dict[str, npt.NDArray[np.generic]]) -> None:
         """Take over what ``arrays`` gave."""
         self._from_ns = np.array(arrays["from_ns"], np.int64)
-        samples = BodySamples(*(arrays[name] for name in BodySamples.__slots__))  # type: ignore[arg-type]
+        samples = BodySamples(
+            *(arrays[name].astype(np.float64) if name in _FLAGS else arrays[name] for name in BodySamples.__slots__)  # type: ignore[arg-type]
+        )
         aids = Aids(*((arrays[f"{name}.t_ns"], arrays[f"{name}.rows"]) for name in _AIDS))  # type: ignore[arg-type]
         self._parts = [(samples, aids)]
 

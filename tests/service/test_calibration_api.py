@@ -290,9 +290,14 @@ def test_runs_come_in_pages_newest_first(any_service, car, tenant):
     ("content", "says"),
     [
         (b"t_s,ax_mps2,ay_mps2,az_mps2\n" + b"".join(b"%d,0,0,9.8\n" % n for n in range(400)), "x axis never changes"),
+        (
+            b"t_s,ax_mps2,ay_mps2,az_mps2\n"
+            + b"".join(b"%d,0.0%d,0.0%d,9.80%d\n" % (n, 4 * n % 9, 7 * n % 5, 3 * n % 7) for n in range(400)),
+            "position",
+        ),
         (b"not a recording at all", "header"),
     ],
-    ids=["dead axes", "no recording"],
+    ids=["dead axes", "one position", "no recording"],
 )
 def test_a_recording_that_cannot_be_used_says_what_to_record_and_stores_nothing(vehicle, content, says):
     made = vehicle.post(RUNS, content=content, headers=CSV)

@@ -14,8 +14,16 @@ from core.rotation import matrix_from_rotation_vector
 
 Triple = tuple[float, float, float]
 
+AXES: Final = ("x", "y", "z")
+"""Names of a triad's axes."""
+
 ALLAN_FLOOR: Final = math.sqrt(2.0 * math.log(2.0) / math.pi)
 """Floor of the Allan deviation over the bias instability that it stands for, 0.664 (IEEE Std 952-1997, C.1.3)."""
+
+
+def triple(values: FloatArray) -> Triple:
+    """Three values (3,) as plain numbers."""
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,13 +19,13 @@ from core.calibration.gyroscope import GyroscopeFit, fit_gyroscope
 from core.calibration.gyroscope_problem import GyroscopePrior
 from core.calibration.magnetometer import MagnetometerFit, MagnetometerPrior, fit_magnetometer
 from core.calibration.magnetometer_level import fit_level_magnetometer, heading_turned
-from core.calibration.recording import CalibrationRecording
+from core.calibration.recording import CalibrationRecording, check_alive
 from core.calibration.static_intervals import StaticPositions, find_static
 from core.calibration.temperature import BiasTemperature, accelerometer_temperature, gyroscope_temperature
 from core.earth import STANDARD_GRAVITY_MPS2, gravity_mps2
 from core.errors import CoreError, InvalidInputError
 from core.measurements import FloatArray
-from core.sensors import Triple
+from core.sensors import AXES, triple
 from schemas.calibration import Calibration
 from service.errors import RecordingError
 from service.recordings.calibration_recording import ReadRecording
@@ -176,12 +176,10 @@ def calibrate(
 
 
 def _check_alive(read: ReadRecording) -> None:
-    for axis, spread in zip("xyz", np.ptp(read.recording.accelerometer, axis=0), strict=True):
-        if not spread > 0.0:
-            raise RecordingError(
-                f"{read.name}: the accelerometer's {axis} axis never changes: it is dead or not connected; record "
-                "again when all three axes answer"
-            )
+    try:
+        check_alive("accelerometer", read.recording.accelerometer)
+    except InvalidInputError as error:
+        raise RecordingError(f"{read.name}: {error}") from error
 
 
 def _asked(read: ReadRecording, options: CalibrationOptions) -> tuple[Sensor, ...]:
@@ -277,7 +275,7 @@ def _magnetometer(
     prior = options.magnetometer_prior
     if options.level:
         force = recording.accelerometer.mean(axis=0)
-        level_up = _triple(force / np.linalg.norm(force))
+        level_up = triple(force / np.linalg.norm(force))
         turned = None
         if recording.gyroscope is not None and not read.counts:
             turned = heading_turned(recording.t_s, recording.gyroscope, level_up)[known]
@@ -357,7 +355,7 @@ def _warmed(slope: BiasTemperature | None, fit: TriadFit) -> tuple[str, ...]:
     sure = (per_k > SURE_SD * np.array(slope.sd)) & (moved > SURE_SD * fit.sd[6:9])
     if not sure.any():
         return ()
-    axes = ", ".join(axis for axis, one in zip("xyz", sure, strict=True) if one)
+    axes = ", ".join(axis for axis, one in zip(AXES, sure, strict=True) if one)
     return (
         f"its bias follows temperature on {axes}: over {span_k:.0f} K it moved by up to {moved[sure].max():.2g}; it "
         f"holds at {slope.reference_c:.0f} °C: record when the box is as warm as on the road",
@@ -392,7 +390,3 @@ def _iron(fit: MagnetometerFit) -> dict[str, Any]:
         "field_strength": fit.field_strength,
         "sd": {"hard_iron": sd[:3].tolist(), "soft_iron": sd[3:].reshape(3, 3).tolist()},
     }
-
-
-def _triple(values: FloatArray) -> Triple:
-    return float(values[0]), float(values[1]), float(values[2])

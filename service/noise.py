@@ -10,19 +10,18 @@ from typing import Any, Final
 import numpy as np
 import pydantic
 
-from core.calibration.allan_fit import AllanAnalysis, AllanFit, NoiseTerm
+from core.calibration.allan_fit import AllanAnalysis, AllanFit, AllanSettings, NoiseTerm
 from core.calibration.longest_rest import longest_rest
 from core.calibration.recording import CalibrationRecording
 from core.calibration.temperature import LEAST_RANGE_K
 from core.measurements import FloatArray
-from core.sensors import TriadCalibration
+from core.sensors import AXES, TriadCalibration
 from schemas.calibration import Calibration
 from schemas.vehicles import NoiseRecording, SensorNoise
 from service.errors import RecordingError
 from service.recordings.calibration_recording import ReadRecording
 from service.recordings.csv_tables import Share, untold
 
-AXES: Final = ("x", "y", "z")
 TERMS: Final = ("random_walk", "bias_instability", "rate_random_walk")
 SENSORS: Final = ("accelerometer", "gyroscope")
 _COARSE_STEPS: Final = 0.5
@@ -184,7 +183,7 @@ def _warmed(temperature_c: FloatArray | None) -> list[str]:
 
 
 def _misfit(sensor: str, fits: Sequence[AllanFit]) -> list[str]:
-    axes = [axis for axis, fit in zip(AXES, fits, strict=True) if fit.excess_sd > 0.1]
+    axes = [axis for axis, fit in zip(AXES, fits, strict=True) if fit.excess_sd > AllanSettings().excess_sd]
     if not axes:
         return []
     worst = 50.0 * max(fit.excess_sd for fit in fits)

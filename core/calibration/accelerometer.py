@@ -22,7 +22,7 @@ from core.calibration.observability import CANDIDATES, judge
 from core.calibration.static_intervals import StaticPositions
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
-from core.sensors import TriadCalibration, Triple
+from core.sensors import AXES, TriadCalibration, triple
 from core.tunables import Tunables, tunable
 
 LEAST_ORIENTATIONS: Final = 6
@@ -36,6 +36,14 @@ GRAVITY_MPS2: Final = (9.7, 9.9)
 
 SI_NORM: Final = (0.7, 1.4)
 """Norm of readings over gravity, from and up to which they can be m/s2 of a sensor that works."""
+
+G_NORM: Final = (0.5, 2.0)
+"""Norm of readings that are likely g; a choice: by more than a factor of two no scale is off."""
+
+DEAD_SD: Final = 6.0
+DEAD_G: Final = 0.02
+"""An axis is dead whose means all lie within so many sd of their noise and so much of gravity; choices. A box laid on
+its six faces moves each axis by 2 g, and one that is turned about an axis leaves it within 1 degree."""
 
 REWEIGHTINGS: Final = 6
 """At most; the weights settle in two or three."""
@@ -158,7 +166,7 @@ def fit_accelerometer(
     # However well the recording tells its bias, that of the drives to come is another.
     covariance[6:, 6:] += np.eye(3) * (prior.bias_instability_mps2 * readings.unit / gravity_mps2) ** 2
     return TriadFit(
-        calibration=TriadCalibration(_triple(values[:3]), _triple(values[3:6]), _triple(values[6:])),
+        calibration=TriadCalibration(triple(values[:3]), triple(values[3:6]), triple(values[6:])),
         covariance=covariance,
         residuals=gravity_mps2 * (np.linalg.norm(x, axis=1) - 1.0),
         positions=len(positions),
@@ -196,7 +204,9 @@ def _check(readings: _Readings, positions: StaticPositions) -> None:
     typical = float(np.median(norms))
     if not SI_NORM[0] <= typical <= SI_NORM[1]:
         shown = float(np.median(np.linalg.norm(positions.mean_accelerometer, axis=1)))
-        guess = "these look like g: multiply by 9.80665" if 0.5 < shown < 2.0 else "raw counts need --counts"
+        guess = (
+            "these look like g: multiply by 9.80665" if G_NORM[0] < shown < G_NORM[1] else "raw counts need --counts"
+        )
         raise InvalidInputError(f"the accelerometer reads {shown:g} at rest; expected about 9.8 m/s2; {guess}")
     different = _different(readings.y)
     if different < LEAST_ORIENTATIONS:
@@ -206,9 +216,9 @@ def _check(readings: _Readings, positions: StaticPositions) -> None:
         )
     spread = np.ptp(readings.y, axis=0)
     noise = np.sqrt(np.diagonal(readings.covariance, axis1=1, axis2=2).max(axis=0))
-    dead = (spread <= 6.0 * noise) & (spread < 0.02)
+    dead = (spread <= DEAD_SD * noise) & (spread < DEAD_G)
     if dead.any() and not dead.all():
-        axis = "xyz"[int(np.argmax(dead))]
+        axis = AXES[int(np.argmax(dead))]
         raise InvalidInputError(
             f"the accelerometer's {axis} axis reads the same in all {len(norms)} positions: it is dead, or the box was"
             f" only turned about it; record again with the {axis} axis up and with it down"
@@ -225,7 +235,7 @@ def _different(y: FloatArray) -> int:
 
 
 def _apply(p: FloatArray, x: FloatArray) -> FloatArray:
-    return TriadCalibration(_triple(p[:3]), _triple(p[3:6]), _triple(p[6:])).apply(x)
+    return TriadCalibration(triple(p[:3]), triple(p[3:6]), triple(p[6:])).apply(x)
 
 
 def norm_residuals(p: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -283,7 +293,3 @@ def _model_variance(residual: FloatArray, noise: FloatArray, freedom: float, typ
 
     low, high = math.log(1e-3 * typical**2 / median), math.log(float(squares.sum()) / median)
     return math.exp(brentq(excess, low, high, rtol=1e-4))
-
-
-def _triple(values: FloatArray) -> Triple:
-    return float(values[0]), float(values[1]), float(values[2])

@@ -9,13 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from core.measurements import FloatArray, TimeArray
+from core.navigation.tuning import Tuning
+from core.sensors import AXES
 from core.tunables import Tunables, tunable
 
 SENSORS: Final = ("accelerometer", "gyroscope")
-AXES: Final = ("x", "y", "z")
 N_BIASES: Final = 6
 """Biases stand in vectors as accelerometer x, y, z (m/s2), then gyroscope x, y, z (rad/s): what the sensor shows of
 nothing, before its scale is divided out."""
+
+_TUNING: Final = Tuning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,10 +26,18 @@ class DriftThresholds(Tunables):
     """How biases wander between trips, what of the filter's word is believed, and what counts as drifted."""
 
     accel_unknown_sd_mps2: float = tunable(
-        0.15, unit="m/s2", low=1e-6, high=5.0, source="as Tuning.accel_bias_sd_mps2: turn-on bias after calibration"
+        _TUNING.accel_bias_sd_mps2,
+        unit="m/s2",
+        low=1e-6,
+        high=5.0,
+        source="the filter's own, of which nothing is known",
     )
     gyro_unknown_sd_radps: float = tunable(
-        1.0e-2, unit="rad/s", low=1e-7, high=1.0, source="as Tuning.gyro_bias_sd_radps: half a degree a second"
+        _TUNING.gyro_bias_sd_radps,
+        unit="rad/s",
+        low=1e-7,
+        high=1.0,
+        source="the filter's own, of which nothing is known",
     )
     accel_turn_on_sd_mps2: float = tunable(
         0.02, unit="m/s2", low=0, high=1.0, source="LSM303DLHC 0.5 mg/K (data sheet) over 4 K from one trip to the next"

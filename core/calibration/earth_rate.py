@@ -12,13 +12,13 @@ import numpy as np
 
 from core.calibration.dogleg import minimise
 from core.calibration.fit import PARAMETERS, Observability, TriadFit
-from core.calibration.gyroscope_problem import GyroscopePrior, triple
-from core.calibration.observability import WEAK
+from core.calibration.gyroscope_problem import GyroscopePrior
+from core.calibration.observability import is_weak
 from core.calibration.static_intervals import StaticPositions
 from core.earth import EARTH_RATE_RADPS
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
-from core.sensors import TriadCalibration
+from core.sensors import TriadCalibration, triple
 
 LEAST_POSITIONS: Final = 4
 """Fewer do not tell a centre."""
@@ -74,11 +74,8 @@ def fit_earth_rate(positions: StaticPositions, *, prior: GyroscopePrior | None =
     information = minimum.jacobian.T @ minimum.jacobian
     covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True) * np.outer(units, units)
     covariance[6:, 6:] = np.maximum(covariance[6:, 6:], 0.0) + at_rest
-    weak = tuple(
-        name
-        for name, spread, sure in zip(PARAMETERS, np.diag(covariance)[:6], known, strict=False)
-        if spread > (WEAK * sure) ** 2
-    )
+    unsure = is_weak(np.sqrt(np.diag(covariance)[:6]), known)
+    weak = tuple(name for name, one in zip(PARAMETERS, unsure, strict=False) if one)
     advice = (
         "the Earth's rate is below this triad's noise: it tells the bias alone; for scale and misalignment turn the "
         "box between positions and let gravity tell"

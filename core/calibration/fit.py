@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
@@ -48,6 +49,12 @@ class Observability:
     @property
     def observable(self) -> bool:
         return not self.weak
+
+
+def central_differences(of: Callable[[FloatArray], FloatArray], x: FloatArray, step: float = 1e-6) -> FloatArray:
+    """Derivative (m, n) of a smooth function, (n,) to (m,), at an x whose values and their spread are near one."""
+    moved = step * np.eye(len(x))
+    return np.column_stack([(of(x + d) - of(x - d)) / (2.0 * step) for d in moved])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

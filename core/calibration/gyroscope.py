@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from core.calibration.dogleg import Minimum, StoppingRules, minimise
-from core.calibration.fit import PARAMETERS, Observability, TriadFit
-from core.calibration.gyroscope_axes import DIRECTIONS, axes_of, first_guess
-from core.calibration.gyroscope_problem import GyroscopePrior, Spans, TurnProblem, Ups, across, triple
-from core.calibration.observability import WEAK, describe_up
-from core.calibration.recording import CalibrationRecording
+from core.calibration.fit import PARAMETERS, Observability, TriadFit, central_differences
+from core.calibration.gyroscope_axes import axes_of, first_guess
+from core.calibration.gyroscope_problem import GyroscopePrior, Spans, TurnProblem, Ups, across
+from core.calibration.observability import describe_up, is_weak
+from core.calibration.recording import CalibrationRecording, check_alive
 from core.calibration.rest import Rest, g_sensitivity
 from core.calibration.static_intervals import StaticPositions
 from core.calibration.turns import integrate
@@ -25,7 +26,7 @@ from core.earth import EARTH_RATE_RADPS
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
 from core.rotation import skew
-from core.sensors import Triple
+from core.sensors import AXES, Triple, triple
 
 GYROSCOPE_PARAMETERS: Final = (*PARAMETERS, "alignment_x", "alignment_y", "alignment_z")
 """Order of a gyroscope's twelve parameters: the nine of any triad, and the axes it is mounted in."""
@@ -93,7 +94,7 @@ def fit_gyroscope(
     if recording.gyroscope is None:
         raise InvalidInputError("the recording has no gyroscope; record its three axes too")
     shown = np.ascontiguousarray(recording.gyroscope, dtype=np.float64)
-    _check_alive(shown)
+    check_alive("gyroscope", shown)
     ups = Ups.of(positions, accelerometer, gravity_mps2)
     spans = Spans.of(recording.t_s, shown, positions, prior)
     force = accelerometer.calibration.correct(recording.accelerometer)
@@ -148,7 +149,7 @@ def _told(
 
     inverse, bias = model.inverse(x), model.bias(x)
     triad = axes_of(np.asarray(np.linalg.inv(inverse)), bias)
-    by_x = _parameters_by_x(model, x)
+    by_x = central_differences(partial(_parameters, model), x)
     joint = by_x @ covariance @ by_x.T
     before_hand = np.zeros((12, 12))
     before_hand[:9, :9] = np.diag(model.prior_sd**2)
@@ -173,18 +174,11 @@ def _parameters(model: TurnProblem, x: FloatArray) -> FloatArray:
     return np.concatenate([triad.scale, triad.misalignment, triad.bias, triad.alignment])
 
 
-def _parameters_by_x(model: TurnProblem, x: FloatArray, step: float = 1e-6) -> FloatArray:
-    """(12, 12) by central differences: x is of the size of hundredths, and the parameters are smooth in it."""
-    moved = step * np.eye(12)
-    return np.column_stack([(_parameters(model, x + d) - _parameters(model, x - d)) / (2.0 * step) for d in moved])
-
-
 def _observability(
     model: TurnProblem, x: FloatArray, rows: FloatArray, by_x: FloatArray, joint: FloatArray, known_sd: FloatArray
 ) -> Observability:
     """What is weak, and of turns about an axis of the box by 90 or 180 degrees the one that would tell most of it."""
-    sd = np.sqrt(np.diag(joint))
-    weak_rows = np.flatnonzero((sd > WEAK * known_sd) & (known_sd > 0.0))
+    weak_rows = np.flatnonzero(is_weak(np.sqrt(np.diag(joint)), known_sd))
     size = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
     condition = float(np.linalg.cond(rows * size))
     if not weak_rows.size:
@@ -204,7 +198,7 @@ def _observability(
     _, axis, angle_rad, up_before, up_after = best
     first, then = triple(up_before), triple(np.round(up_after, 6))
     advice = (
-        f"the recording hardly tells {', '.join(weak)}: add a turn about the box's {DIRECTIONS[axis]} axis by "
+        f"the recording hardly tells {', '.join(weak)}: add a turn about the box's {AXES[axis]} axis by "
         f"{math.degrees(angle_rad):.0f} degrees, that axis level, from {describe_up(first)} to {describe_up(then)}"
     )
     return Observability(weak, condition, (first, then), advice)
@@ -228,12 +222,3 @@ def _imagined(
 
 def _means(rows: FloatArray, positions: StaticPositions) -> FloatArray:
     return np.array([rows[a:b].mean(axis=0) for a, b in zip(positions.start, positions.end, strict=True)])
-
-
-def _check_alive(shown: FloatArray) -> None:
-    for axis, name in enumerate(DIRECTIONS):
-        if np.ptp(shown[:, axis]) == 0.0:
-            raise InvalidInputError(
-                f"the gyroscope's {name} axis shows {shown[0, axis] + 0.0:g} throughout: it is dead or not connected; "
-                "record again when all three axes answer"
-            )

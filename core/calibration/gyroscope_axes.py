@@ -14,11 +14,10 @@ from core.calibration.turns import integrate
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
 from core.rotation import rotation_vector_from_matrix
-from core.sensors import TriadCalibration
+from core.sensors import TriadCalibration, triple
 
 IntArray = npt.NDArray[np.int64]
 
-DIRECTIONS: Final = ("x", "y", "z")
 COARSE_S: Final = 0.04
 """Interval of the rates that a first guess is made of: a hand's turn has little beyond 5 Hz."""
 MOST_TURNS: Final = 2.0
@@ -27,6 +26,10 @@ GRID: Final = 1.06
 """Ratio of the scales tried: half of it is 3 % of a turn, far inside where the iteration finds home."""
 SCALE_OFF: Final = 1.3
 """A scale further from 1 is no error of a gyroscope in rad/s but another unit."""
+FAR_RAD: Final = 0.3
+"""Angle between the ups of a turn from which on it bounds the scale: of less, a hand turns the box about up too."""
+BETTER: Final = 0.5
+"""Another order of axes has to fit so many times worse or less than the one that is written on the box; a choice."""
 GOOD_RAD: Final = 0.2
 """RMS by which gravity is missed with the right unit and axes before any fit: 4 % of half a turn is 0.13 rad."""
 
@@ -49,10 +52,10 @@ def axes_of(matrix: FloatArray, bias: FloatArray) -> TriadCalibration:
     scale = np.diag(upper)
     unit = upper / scale[:, None]
     return TriadCalibration(
-        (float(scale[0]), float(scale[1]), float(scale[2])),
+        triple(scale),
         (float(-unit[1, 2]), float(unit[0, 2]), float(-unit[0, 1])),
-        (float(bias[0]), float(bias[1]), float(bias[2])),
-        tuple(map(float, rotation_vector_from_matrix(np.ascontiguousarray(turn)))),  # type: ignore[arg-type]
+        triple(bias),
+        triple(rotation_vector_from_matrix(np.ascontiguousarray(turn))),
     )
 
 
@@ -89,11 +92,11 @@ def first_guess(
     if missed > GOOD_RAD:
         for turned in axes_orders():
             found, then_missed = rates.best(turned, scales[::2])
-            if then_missed < 0.5 * missed:
+            if then_missed < BETTER * missed:
                 scale, missed, axes = found, then_missed, turned
     if not counts and missed < GOOD_RAD and not 1.0 / SCALE_OFF < scale < SCALE_OFF:
         likely = "they look like raw counts: say so (--counts), or convert them"
-        if 57.3 / SCALE_OFF < scale < 57.3 * SCALE_OFF:
+        if 1.0 / SCALE_OFF < math.radians(scale) < SCALE_OFF:
             likely = "they look like degrees a second: multiply them by pi / 180"
         elif scale < 1.0:
             likely = "is their unit named too small, such as degrees a second for what is radians?"
@@ -149,10 +152,10 @@ class _Coarse:
 
     def plausible_scales(self) -> FloatArray:
         """Shown over true: no turn can be less than the angle between its ups, nor is it many full ones."""
-        far = self.angle_rad > 0.3
+        far = self.angle_rad > FAR_RAD
         if not far.any():
             raise InvalidInputError(
-                "up moves by less than 17 degrees from each position to the next; "
+                f"up moves by less than {math.degrees(FAR_RAD):.0f} degrees from each position to the next; "
                 "record again, turning the box by 90 to 180 degrees between positions"
             )
         high = 1.2 * float(np.min(self.travelled[far] / self.angle_rad[far]))

@@ -17,7 +17,7 @@ from core.earth import EARTH_RATE_RADPS
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
 from core.rotation import skew
-from core.sensors import Triple
+from core.sensors import triple
 from core.tunables import Tunables, tunable
 
 IntArray = npt.NDArray[np.int64]
@@ -27,6 +27,10 @@ LEAST_TURNS: Final = 5
 """Each tells two of the nine numbers of scale, misalignment and alignment; the bias is told at rest."""
 OUTLIER: Final = 6.0
 """A turn that misses gravity by so many times what the others do was not seen whole, and is left out."""
+CLIPPED_SD: Final = 20.0
+"""An extreme that stands still is the end of the range where it is so many sd at rest off; a choice: any turn is."""
+GAP_SAMPLES: Final = 2.5
+"""An interval so many samples long lacks one; jitter is less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +107,7 @@ class Spans:
         # The detector has left out what may be motion at the ends of a hold: it is part of the turn.
         begin, end = (positions.end - 1)[:-1], positions.start[1:]
         clipped = _clipped(shown, positions)
-        gaps = np.diff(t_s) > max(prior.gap_s, 2.5 * interval_s)
+        gaps = np.diff(t_s) > max(prior.gap_s, GAP_SAMPLES * interval_s)
         whole = np.array(
             [not (clipped[a : b + 1].any() or gaps[a:b].any()) for a, b in zip(begin, end, strict=True)], dtype=bool
         )
@@ -238,7 +242,7 @@ def _clipped(shown: FloatArray, positions: StaticPositions) -> BoolArray:
     middle, spread = resting.mean(axis=0), resting.std(axis=0)
     for axis in range(3):
         for extreme in (shown[:, axis].max(), shown[:, axis].min()):
-            if abs(extreme - middle[axis]) > 20.0 * spread[axis]:
+            if abs(extreme - middle[axis]) > CLIPPED_SD * spread[axis]:
                 there = shown[:, axis] == extreme
                 clipped[1:-1] |= there[:-2] & there[1:-1] & there[2:]
     return clipped
@@ -251,7 +255,3 @@ def across(up: FloatArray) -> FloatArray:
 
 def _normed(rows: FloatArray) -> FloatArray:
     return np.asarray(rows / np.linalg.norm(rows, axis=1)[:, None])
-
-
-def triple(values: FloatArray) -> Triple:
-    return float(values[0]), float(values[1]), float(values[2])

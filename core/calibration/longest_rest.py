@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from core.calibration.gyroscope_problem import GAP_SAMPLES
 from core.calibration.recording import CalibrationRecording
+from core.calibration.section_means import converter_steps
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
 from core.tunables import Tunables, tunable
+
+STEP_SAMPLES: Final = 100_000
+"""Samples that tell the converter's step: ten minutes show every value that rest has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +41,13 @@ class RestSettings(Tunables):
         0.02, unit="rad/s", low=1e-3, high=1.0, source="choice: 1 deg/s from block to block; a bias takes hours to"
     )
     gap_samples: float = tunable(
-        2.5, unit="1", low=1.1, high=100.0, source="choice: an interval so many samples long lacks one; jitter is less"
+        GAP_SAMPLES, unit="1", low=1.1, high=100.0, source="choice: as between the positions of a calibration"
     )
     least_s: float = tunable(10.0, unit="s", low=1.0, high=3600.0, source="choice: shorter tells no noise worth having")
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class LongestRest:
     """Rows ``first`` to ``end`` (exclusive) at rest; what the other rows lack is counted in seconds."""
 
     first: int
@@ -50,7 +56,7 @@ class Rest:
     gaps: int
 
 
-def longest_rest(recording: CalibrationRecording, settings: RestSettings | None = None) -> Rest:
+def longest_rest(recording: CalibrationRecording, settings: RestSettings | None = None) -> LongestRest:
     """The longest stretch at rest of a recording in m/s2 and rad/s.
 
     Raises
@@ -89,7 +95,7 @@ def longest_rest(recording: CalibrationRecording, settings: RestSettings | None 
             + f", and its longest rest lasts {(end - first) * interval_s:.1f} s; record at least {s.least_s:g} s with "
             "the box lying still, away from steps and engines"
         )
-    return Rest(first, end, moving_s, int(gap_rows.size))
+    return LongestRest(first, end, moving_s, int(gap_rows.size))
 
 
 def _moving(triad: FloatArray, blocks: int, size: int, settings: RestSettings, jump: float) -> npt.NDArray[np.bool_]:
@@ -97,7 +103,7 @@ def _moving(triad: FloatArray, blocks: int, size: int, settings: RestSettings, j
     cut = triad[: blocks * size].reshape(blocks, size, 3)
     mean = cut.mean(axis=1)
     variance = cut.var(axis=1)
-    step = np.array([_step(triad[:, axis]) for axis in range(3)])
+    step = converter_steps(triad[:STEP_SAMPLES])
     quiet = np.quantile(variance, settings.quiet_share, axis=0) + 0.25 * step**2
     moving: npt.NDArray[np.bool_] = (variance > settings.spread_factor**2 * quiet).any(axis=1)
     # The mean of a block of quiet noise may itself move that far.
@@ -105,9 +111,3 @@ def _moving(triad: FloatArray, blocks: int, size: int, settings: RestSettings, j
     jumps = np.flatnonzero((np.abs(np.diff(mean, axis=0)) > allowed).any(axis=1))
     moving[jumps] = moving[jumps + 1] = True
     return moving
-
-
-def _step(values: FloatArray) -> float:
-    """Smallest difference of an axis' values that is not zero: its converter's step."""
-    steps = np.diff(np.unique(values[:100_000]))
-    return float(steps.min()) if steps.size else 0.0

@@ -15,21 +15,22 @@ import numpy as np
 import numpy.typing as npt
 
 from core.calibration.dogleg import Minimum, minimise
-from core.calibration.fit import Observability, Stop
-from core.calibration.gyroscope_axes import DIRECTIONS, axes_orders
-from core.calibration.observability import WEAK
+from core.calibration.fit import Observability, Stop, central_differences
+from core.calibration.gyroscope_axes import BETTER, axes_orders
+from core.calibration.observability import is_weak
+from core.calibration.recording import check_alive
 from core.calibration.sphere import directions
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
-from core.sensors import MagnetometerCalibration, Triple
+from core.sensors import AXES, MagnetometerCalibration, Triple, triple
 from core.tunables import Tunables, tunable
 
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
 MAGNETOMETER_PARAMETERS: Final = (
-    *(f"hard_{axis}" for axis in DIRECTIONS),
-    *(f"soft_{row}{column}" for row in DIRECTIONS for column in DIRECTIONS),
+    *(f"hard_{axis}" for axis in AXES),
+    *(f"soft_{row}{column}" for row in AXES for column in AXES),
 )
 """Order of a magnetometer's twelve parameters in vectors and covariances."""
 
@@ -37,11 +38,15 @@ FIELD_UT: Final = (20.0, 70.0)
 """Strength of the Earth's field anywhere, microtesla: 22 to 67 (IGRF-13; Alken et al. 2021)."""
 OTHER_UNITS: Final = {"gauss": 100.0, "milligauss": 0.1, "nanotesla": 1e-3, "tesla": 1e6}
 LEAST_SAMPLES: Final = 30
+"""A choice: three for each of ten numbers."""
 CELLS: Final = 100
 """Directions of the sphere that are told apart, 20 degrees wide: an observation each, however long it was held."""
 MOST_IN_CELL: Final = 30
 """Samples of a direction that are fitted, evenly taken: more tell nothing of it that these do not."""
 LEAST_CELLS: Final = 12
+"""An observation for each of twelve numbers."""
+FIRST_SD: Final = 0.01
+"""Spread of a direction over the strength, for the first of the two fits; the second takes what that left."""
 STILL_NOISE: Final = 0.25
 """Change from one sample to the next, over half the range of all, that says that the range is but noise."""
 ROUNDEST: Final = 5.0
@@ -170,7 +175,7 @@ class _Ellipsoid:
         # A direction counts once, however often it was seen: what disturbs it disturbs all its samples.
         self.share = 1.0 / np.sqrt(np.bincount(cells, minlength=CELLS)[cells])
         self.cell = cells
-        self.sd = 0.01
+        self.sd = FIRST_SD
         self.prior_sd = np.r_[np.full(len(entries), prior.soft_sd), np.full(3, prior.hard_share)]
 
     def matrix(self, x: FloatArray) -> FloatArray:
@@ -237,10 +242,7 @@ def _told(
         soft = np.linalg.inv(W) / (seen_strength if field_ut is None else field_ut)
         return np.concatenate([centre + radius * problem.offset(x), soft.ravel(), [seen_strength]])
 
-    found, step = parameters(x), 1e-6
-    by_x = np.column_stack(
-        [(parameters(x + d) - parameters(x - d))[:12] / (2.0 * step) for d in step * np.eye(problem.size)]
-    )
+    found, by_x = parameters(x), central_differences(parameters, x)[:12]
     seen = (scaled - problem.offset(x)) @ problem.matrix(x).T
     unseen, coverage = unseen_directions(seen)
     if coverage < LEAST_COVERAGE:
@@ -250,7 +252,7 @@ def _told(
     strength = float(found[12]) if field_ut is None else field_ut
     covariance = by_x @ np.linalg.inv(jacobian.T @ jacobian) @ by_x.T
     before = by_x[:, : len(problem.prior_sd)] @ np.diag(problem.prior_sd**2) @ by_x[:, : len(problem.prior_sd)].T
-    weak = np.flatnonzero((np.diag(covariance) > WEAK**2 * np.diag(before)) & (np.diag(before) > 0.0))
+    weak = np.flatnonzero(is_weak(np.sqrt(np.diag(covariance)), np.sqrt(np.diag(before))))
     names = tuple(MAGNETOMETER_PARAMETERS[i] for i in weak)
     advice = ""
     if names:
@@ -280,12 +282,7 @@ def usable(shown: FloatArray) -> FloatArray:
         raise InvalidInputError(
             f"{len(shown)} magnetometer samples; expected {LEAST_SAMPLES} or more, from all attitudes: record again"
         )
-    for axis, name in enumerate(DIRECTIONS):
-        if np.ptp(shown[:, axis]) == 0.0:
-            raise InvalidInputError(
-                f"the magnetometer's {name} axis shows {shown[0, axis] + 0.0:g} throughout: it is dead or not "
-                "connected; record again when all three axes answer"
-            )
+    check_alive("magnetometer", shown)
     return np.ascontiguousarray(shown, dtype=np.float64)
 
 
@@ -317,10 +314,6 @@ def unseen_directions(vectors: FloatArray) -> tuple[tuple[Triple, ...], float]:
     missing = [sign * np.eye(3)[axis] for axis in range(3) for sign in (1.0, -1.0)]
     unseen = tuple(triple(axis) for axis in missing if not seen[cells_of(axis[None])[0]])
     return unseen, float(np.mean(seen))
-
-
-def triple(values: FloatArray) -> Triple:
-    return float(values[0]), float(values[1]), float(values[2])
 
 
 def matrix_rows(matrix: FloatArray) -> tuple[Triple, Triple, Triple]:
@@ -370,4 +363,4 @@ def _aligned(
     scatter = [float(np.std(np.einsum("ni,ni->n", up, seen @ order.T))) for order in orders]
     same = scatter[next(i for i, order in enumerate(orders) if np.array_equal(order, np.eye(3)))]
     best = int(np.argmin(scatter))
-    return at_rest, up, orders[best] if scatter[best] < 0.5 * same else np.eye(3)
+    return at_rest, up, orders[best] if scatter[best] < BETTER * same else np.eye(3)

@@ -13,20 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from core.calibration.dogleg import minimise
-from core.calibration.fit import Observability
-from core.calibration.gyroscope_axes import DIRECTIONS
+from core.calibration.fit import Observability, central_differences
 from core.calibration.magnetometer import (
     MagnetometerFit,
     MagnetometerPrior,
     check_strength,
     matrix_rows,
-    triple,
     usable,
 )
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
 from core.rotation import matrix_from_rotation_vector
-from core.sensors import MagnetometerCalibration, Triple
+from core.sensors import AXES, MagnetometerCalibration, Triple, triple
 
 IntArray = npt.NDArray[np.int64]
 
@@ -104,8 +102,7 @@ def fit_level_magnetometer(
         return np.concatenate([C_l_from_s.T @ hard, (C_l_from_s.T @ soft @ C_l_from_s).ravel()])
 
     found = parameters(minimum.x)
-    step = 1e-6 * np.eye(len(minimum.x))
-    by_x = np.column_stack([(parameters(minimum.x + d) - parameters(minimum.x - d)) / 2e-6 for d in step])
+    by_x = central_differences(parameters, minimum.x)
     covariance = problem.spread(minimum.x) ** 2 * by_x @ np.linalg.pinv(minimum.jacobian.T @ minimum.jacobian) @ by_x.T
     strength = math.hypot(horizontal, down)
     vertical_sd = prior.soft_sd * abs(down) if field_ut is not None else prior.hard_share * strength
@@ -230,8 +227,8 @@ def _unseen(C_l_from_s: FloatArray, soft_sd: float, vertical_sd: float) -> Float
 
 
 def _observability(up: FloatArray, field_known: bool) -> Observability:
-    vertical = DIRECTIONS[int(np.argmax(np.abs(up)))]
-    weak = [f"soft_{row}{column}" for row in DIRECTIONS for column in DIRECTIONS if vertical in (row, column)]
+    vertical = AXES[int(np.argmax(np.abs(up)))]
+    weak = [f"soft_{row}{column}" for row in AXES for column in AXES if vertical in (row, column)]
     advice = f"level circles tell nothing of the {vertical} axis: "
     advice += "turn the box through all attitudes before it is fitted"
     if not field_known:

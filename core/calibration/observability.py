@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from core.calibration.fit import PARAMETERS, Observability
 from core.measurements import FloatArray
-from core.sensors import Triple
+from core.sensors import AXES, Triple, triple
 
 WEAK: Final = 0.2
 """Share of a parameter's prior sd that is left when it is called weak. Calibrating was hardly worth the trouble: of
@@ -35,6 +35,11 @@ CANDIDATES: Final = np.array(sorted(_DIRECTIONS, key=lambda up: float(np.count_n
 """Directions of up (26, 3) that a hand finds without a tool: a box's faces, then its edges, then its corners."""
 
 
+def is_weak(sd: FloatArray, prior_sd: FloatArray) -> npt.NDArray[np.bool_]:
+    """Which parameters (p,) a recording tells hardly better than was known before; of what was known for sure none."""
+    return np.asarray((sd > WEAK * prior_sd) & (prior_sd > 0.0))
+
+
 def judge(
     prior_sd: FloatArray,
     deviation: FloatArray,
@@ -54,16 +59,16 @@ def judge(
     candidate_rows : (26, p) derivative of the residual of a position in each of ``CANDIDATES``, over its sd
     """
     absurd = np.abs(deviation) > ABSURD_SD * prior_sd
-    weak = absurd | (np.sqrt(np.diag(posterior)) > WEAK * prior_sd)
+    weak = absurd | is_weak(np.sqrt(np.diag(posterior)), prior_sd)
     added = _additions(posterior, prior_sd, candidate_rows, absurd) if weak.any() else []
     found = tuple(name for name, one in zip(names, weak, strict=True) if one)
-    add = tuple(_triple(CANDIDATES[i]) for i in added)
+    add = tuple(triple(CANDIDATES[i]) for i in added)
     return Observability(found, _condition(information), add, _advice(found, absurd, add, names))
 
 
 def describe_up(up: Triple) -> str:
     """How to lay a box so that this direction (unit, sensor axes) is up, in words."""
-    sides = [f"{axis} {'up' if part > 0.0 else 'down'}" for axis, part in zip("xyz", up, strict=True) if part != 0.0]
+    sides = [f"{axis} {'up' if part > 0.0 else 'down'}" for axis, part in zip(AXES, up, strict=True) if part != 0.0]
     if len(sides) == 1:
         axis, way = sides[0].split()
         return f"the {axis} axis {way}"
@@ -108,7 +113,3 @@ def _advice(
 
 def _list(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def _triple(values: FloatArray) -> Triple:
-    return float(values[0]), float(values[1]), float(values[2])

@@ -8,6 +8,7 @@ import numpy as np
 
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
+from core.sensors import AXES
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,4 +64,14 @@ class CalibrationRecording:
             raise InvalidInputError(
                 f"time runs backwards or stands still in row {row + 1}: {self.t_s[row]:g} s after "
                 f"{self.t_s[row - 1]:g} s; record again with a clock that only goes on"
+            )
+
+
+def check_alive(sensor: str, shown: FloatArray) -> None:
+    """Raise InvalidInputError if an axis of a triad (n, 3) never changes."""
+    for axis, name in enumerate(AXES):
+        if np.ptp(shown[:, axis]) == 0.0:
+            raise InvalidInputError(
+                f"the {sensor}'s {name} axis shows {shown[0, axis] + 0.0:g} throughout: it is dead or not connected; "
+                "record again when all three axes answer"
             )

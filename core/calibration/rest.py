@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import f as fisher
 
+from core.calibration.section_means import converter_steps
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
 
@@ -131,8 +132,7 @@ def _density(shown: FloatArray, start: IntArray, end: IntArray, interval_s: floa
             "record again and leave the box in each for 3 s or longer"
         )
     # A converter's step spreads values evenly over it: even where all show the same, that much is not known.
-    steps = [np.diff(np.unique(shown[:, axis])) for axis in range(3)]
-    step = np.array([values.min() if values.size else 0.0 for values in steps])
+    step = converter_steps(shown)
     return np.asarray(np.sqrt(squares / freedom * length * interval_s + step**2 / 12.0 * interval_s))
 
 

@@ -19,12 +19,12 @@ from core.calibration.recording import CalibrationRecording
 from core.calibration.section_means import converter_steps, section_means
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
+from core.sensors import AXES
 from core.tunables import Tunables, tunable
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
-AXES: Final = "xyz"
 MOTION: Final = 20.0
 """Times what white noise would be: a digital filter makes it up to 5, a hand's tremor 3, its motion 50 and more."""
 CHI3_MEDIAN: Final = 2.366

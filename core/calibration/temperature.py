@@ -14,7 +14,7 @@ from core.calibration.recording import CalibrationRecording
 from core.calibration.static_intervals import StaticPositions
 from core.errors import InvalidInputError
 from core.measurements import FloatArray
-from core.sensors import Triple
+from core.sensors import Triple, triple
 
 LEAST_RANGE_K: Final = 2.0
 """Kelvin by which the box must have warmed or cooled: a sensor's own noise is 0.1 K, and less tells no slope."""
@@ -158,9 +158,9 @@ class _Blocks:
         # Half of what wanders is a trend over the recording, which the temperature has too.
         sd = np.sqrt(sd**2 + 0.5 * (np.asarray(wander) / np.std(self.temperature_c)) ** 2)
         return BiasTemperature(
-            (float(slopes[0]), float(slopes[1]), float(slopes[2])),
+            triple(slopes),
             float(self.temperature_c.mean()),
-            (float(sd[0]), float(sd[1]), float(sd[2])),
+            triple(sd),
             float(self.temperature_c.min()),
             float(self.temperature_c.max()),
         )

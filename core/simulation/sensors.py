@@ -13,7 +13,7 @@ from core.atmosphere import standard_density_kgpm3, standard_pressure_pa
 from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FloatArray
 from core.rotation import matrix_from_rpy
-from core.sensors import ALLAN_FLOOR, TriadCalibration, TriadNoise, Triple
+from core.sensors import ALLAN_FLOOR, TriadCalibration, TriadNoise, Triple, triple
 from core.simulation.trajectory import Trajectory, matrices_b_from_n, rotate
 from core.tunables import Tunables, tunable
 
@@ -237,12 +237,12 @@ def draw_errors(device: Device, rng: np.random.Generator) -> DeviceErrors:
         scale = 1.0 + device.factory.scale_sd * spread[0]
         tilt = device.factory.misalignment_sd_rad * spread[1]
         bias = factory_bias_sd * spread[2]
-        known.append(TriadCalibration(_triple(scale), _triple(tilt), _triple(bias)))
+        known.append(TriadCalibration(triple(scale), triple(tilt), triple(bias)))
         actual.append(
             TriadCalibration(
-                _triple(scale * (1.0 + triad.scale_sd * rest[0])),
-                _triple(tilt + triad.misalignment_sd_rad * rest[1]),
-                _triple(bias + triad.bias_sd * rest[2]),
+                triple(scale * (1.0 + triad.scale_sd * rest[0])),
+                triple(tilt + triad.misalignment_sd_rad * rest[1]),
+                triple(bias + triad.bias_sd * rest[2]),
             )
         )
     off = device.mounting_sd_rad * rng.standard_normal(3)
@@ -252,9 +252,9 @@ def draw_errors(device: Device, rng: np.random.Generator) -> DeviceErrors:
         gyroscope=actual[1],
         known_accelerometer=known[0],
         known_gyroscope=known[1],
-        C_s_from_b=(_triple(C_b_from_s[:, 0]), _triple(C_b_from_s[:, 1]), _triple(C_b_from_s[:, 2])),
-        mounting_error_rpy_rad=_triple(off),
-        hard_iron_ut=_triple(device.hard_iron_sd_ut * rng.standard_normal(3)),
+        C_s_from_b=(triple(C_b_from_s[:, 0]), triple(C_b_from_s[:, 1]), triple(C_b_from_s[:, 2])),
+        mounting_error_rpy_rad=triple(off),
+        hard_iron_ut=triple(device.hard_iron_sd_ut * rng.standard_normal(3)),
         wheel_scale=1.0 + device.wheel_scale_sd * float(rng.standard_normal()),
         pressure_offset_pa=device.barometer.offset_sd_pa * float(rng.standard_normal()),
         wind_share=device.barometer.wind_share_sd * float(rng.standard_normal()),
@@ -377,7 +377,3 @@ def _turn(rows: tuple[Triple, Triple, Triple], vectors: FloatArray) -> FloatArra
     """Matrix times each vector, (n, 3)."""
     x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
     return np.column_stack([row[0] * x + row[1] * y + row[2] * z for row in rows])
-
-
-def _triple(values: FloatArray) -> Triple:
-    return float(values[0]), float(values[1]), float(values[2])

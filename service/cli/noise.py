@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Final
 
 from core.calibration.allan_fit import NoiseTerm
+from core.sensors import AXES
 from schemas.calibration import Calibration
 from service.cli.drives import read_settings
 from service.cli.progress import Progress
 from service.cli.recordings import add_recording, read_with_bar
-from service.noise import AXES, NoiseOutcome, measure_noise
+from service.noise import NoiseOutcome, measure_noise
 from service.reports.customary import CUSTOMARY
 
 _CELL: Final = 25

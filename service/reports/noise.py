@@ -10,7 +10,8 @@ import numpy as np
 from core.calibration.allan import TERMS
 from core.calibration.allan_fit import AllanFit, NoiseTerm
 from core.measurements import FloatArray
-from service.noise import AXES, NoiseOutcome
+from core.sensors import AXES
+from service.noise import NoiseOutcome
 from service.reports.customary import CUSTOMARY
 from service.reports.page import Section, Table, page
 from service.reports.plots import AMBER, BAND, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, Plot, Trace, packed

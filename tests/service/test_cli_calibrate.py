@@ -199,7 +199,7 @@ CASES = {
     "g": (lambda t, f, r, _: (t, f / 9.80665, r), "it looks like g (name the columns ax_g …)"),
     "counts": (lambda t, f, r, _: (t, f * 1670, r), "it looks like raw counts (say --counts)"),
     "deg/s": (lambda t, f, r, _: (t, f, np.degrees(r)), "they look like degrees a second"),
-    "dead axis": (lambda t, f, r, _: (t, f * [1, 0, 1] * 1.2, r), "the accelerometer's y axis never changes"),
+    "dead axis": (lambda t, f, r, _: (t, f * [1, 0, 1] * 1.2, r), "the accelerometer's y axis shows 0 throughout"),
     "dead gyroscope": (dead_rate, "the gyroscope's y axis shows 0 throughout: it is dead"),
     "saturated": (clipped, "saturated"),
     "never still": (never_still, "lie"),

@@ -38,7 +38,7 @@ SI_NORM: Final = (0.7, 1.4)
 """Norm of readings over gravity, from and up to which they can be m/s2 of a sensor that works."""
 
 G_NORM: Final = (0.5, 2.0)
-"""Norm of readings that are likely g; a choice: by more than a factor of two no scale is off."""
+"""Norm of readings that are likely g; a choice: by a factor of two no scale is off."""
 
 DEAD_SD: Final = 6.0
 DEAD_G: Final = 0.02
@@ -204,9 +204,8 @@ def _check(readings: _Readings, positions: StaticPositions) -> None:
     typical = float(np.median(norms))
     if not SI_NORM[0] <= typical <= SI_NORM[1]:
         shown = float(np.median(np.linalg.norm(positions.mean_accelerometer, axis=1)))
-        guess = (
-            "these look like g: multiply by 9.80665" if G_NORM[0] < shown < G_NORM[1] else "raw counts need --counts"
-        )
+        in_g = G_NORM[0] < shown < G_NORM[1]
+        guess = "these look like g: multiply by 9.80665" if in_g else "raw counts need --counts"
         raise InvalidInputError(f"the accelerometer reads {shown:g} at rest; expected about 9.8 m/s2; {guess}")
     different = _different(readings.y)
     if different < LEAST_ORIENTATIONS:

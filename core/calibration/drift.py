@@ -30,14 +30,14 @@ class DriftThresholds(Tunables):
         unit="m/s2",
         low=1e-6,
         high=5.0,
-        source="the filter's own, of which nothing is known",
+        source="as the filter takes it at first",
     )
     gyro_unknown_sd_radps: float = tunable(
         _TUNING.gyro_bias_sd_radps,
         unit="rad/s",
         low=1e-7,
         high=1.0,
-        source="the filter's own, of which nothing is known",
+        source="as the filter takes it at first",
     )
     accel_turn_on_sd_mps2: float = tunable(
         0.02, unit="m/s2", low=0, high=1.0, source="LSM303DLHC 0.5 mg/K (data sheet) over 4 K from one trip to the next"

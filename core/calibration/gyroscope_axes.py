@@ -29,7 +29,7 @@ SCALE_OFF: Final = 1.3
 FAR_RAD: Final = 0.3
 """Angle between the ups of a turn from which on it bounds the scale: of less, a hand turns the box about up too."""
 BETTER: Final = 0.5
-"""Another order of axes has to fit so many times worse or less than the one that is written on the box; a choice."""
+"""Another order of axes is believed where it misses less than this share of what the usual one does; a choice."""
 GOOD_RAD: Final = 0.2
 """RMS by which gravity is missed with the right unit and axes before any fit: 4 % of half a turn is 0.13 rad."""
 

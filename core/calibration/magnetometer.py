@@ -38,7 +38,7 @@ FIELD_UT: Final = (20.0, 70.0)
 """Strength of the Earth's field anywhere, microtesla: 22 to 67 (IGRF-13; Alken et al. 2021)."""
 OTHER_UNITS: Final = {"gauss": 100.0, "milligauss": 0.1, "nanotesla": 1e-3, "tesla": 1e6}
 LEAST_SAMPLES: Final = 30
-"""A choice: three for each of ten numbers."""
+"""A choice: fewer cannot be all attitudes."""
 CELLS: Final = 100
 """Directions of the sphere that are told apart, 20 degrees wide: an observation each, however long it was held."""
 MOST_IN_CELL: Final = 30

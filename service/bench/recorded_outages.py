@@ -11,7 +11,7 @@ import numpy as np
 
 from service.bench.simulated_outages import Tell
 from service.recordings.drive_folder import Drive, read_drive
-from service.recordings.fusing import Outage, figures, fuse, fuse_config, vehicle_config
+from service.recordings.fusing import Fused, Outage, figures, fuse, fuse_config, vehicle_config
 
 FIRST_S: Final = 60.0
 EVERY_S: Final = 45.0
@@ -46,18 +46,19 @@ def measure(folder: Path, tell: Tell) -> dict[str, Any]:
     sweeps = {name: placed(drives[name]) for name in SWEPT}
     total = len(METHODS) * (len(NAMED) + sum(map(len, sweeps.values())))
     done = 0
+    whole: dict[str, Fused] = {}
     found: dict[str, Any] = {name: {} for name in drives}
     for method in METHODS:
         for name, outage in NAMED.items():
             tell(done, total)
             found[name].setdefault("outage", {"start_s": outage.start_s, "duration_s": outage.duration_s})
-            found[name]["outage"][method] = _in_outage(drives[name], outage, method)
+            found[name]["outage"][method] = _in_outage(drives[name], outage, method, whole)
             done += 1
         for name, outages in sweeps.items():
             runs: list[dict[str, Any]] = []
             for outage in outages:
                 tell(done, total)
-                runs.append({"start_s": outage.start_s} | _in_outage(drives[name], outage, method))
+                runs.append({"start_s": outage.start_s} | _in_outage(drives[name], outage, method, whole))
                 done += 1
             found[name].setdefault("sweep", {"every_s": EVERY_S, "duration_s": LENGTH_S})
             found[name]["sweep"][method] = {
@@ -74,9 +75,18 @@ def median_end_m(runs: list[dict[str, Any]]) -> float | None:
     return median if math.isfinite(median) else None
 
 
-def _in_outage(drive: Drive, outage: Outage, method: str) -> dict[str, float | None]:
-    withheld = [] if method == NOT_WITHHELD else [outage]
-    fused = fuse(drive, fuse_config(vehicle_config(drive)), withheld, **METHODS[method])
+def _in_outage(drive: Drive, outage: Outage, method: str, whole: dict[str, Fused]) -> dict[str, float | None]:
+    """Figures of one outage; ``whole`` keeps what each drive is with nothing withheld: that is the same for all."""
+    if method != NOT_WITHHELD:
+        fused = _fused(drive, [outage], method)
+    else:
+        if drive.name not in whole:
+            whole[drive.name] = _fused(drive, [], method)
+        fused = whole[drive.name]
     (one,) = figures(drive, fused, [outage])["outages"]
     figures_of_one = {name: one[name] for name in ("rms_m", "end_m", "max_m", "distance_m")}
     return figures_of_one | {"resets": fused.counts.get("imu.reset", 0)}
+
+
+def _fused(drive: Drive, withheld: list[Outage], method: str) -> Fused:
+    return fuse(drive, fuse_config(vehicle_config(drive)), withheld, **METHODS[method])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from core.simulation.scenarios import simulate
-from service.bench import calibration_gain, consistency, navigation, recorded_outages, simulated_outages
+from service.bench import calibration_gain, consistency, mobile_mapping, navigation, recorded_outages, simulated_outages
 from service.bench.navigation_report import tables
 from service.bench.targets import TARGETS, judged
 from service.cli import main
@@ -103,16 +103,27 @@ def test_integrated_and_calibrated_is_compared_with_gnss_alone(calibration):
 
 def test_recorded_drives_have_an_outage_every_45_s_after_the_first_minute():
     folder = recording("drives")
-    found = recorded_outages.measure(folder, untold)
     for name in recorded_outages.SWEPT:
-        t_s = read_drive(folder / name)
-        first_s, last_s = t_s.t_s(t_s.measurements.imu_t_ns[[0, -1]])
-        runs = found[name]["sweep"]["causal"]["outages"]
-        starts = [run["start_s"] for run in runs]
+        drive = read_drive(folder / name)
+        first_s, last_s = drive.t_s(drive.measurements.imu_t_ns[[0, -1]])
+        outages = recorded_outages.placed(drive)
+        starts = [outage.start_s for outage in outages]
         assert starts[0] == pytest.approx(first_s + 60.0)
         assert np.diff(starts) == pytest.approx(45.0)
         assert last_s - 45.0 < starts[-1] + 30.0 < last_s
-        assert sum(run["end_m"] is None for run in runs) == found[name]["sweep"]["causal"]["without_position"]
+        assert {outage.duration_s for outage in outages} == {30.0}
+
+
+def test_recorded_drives_are_measured_in_each_outage_by_each_method(monkeypatch):
+    folder = recording("drives")
+    monkeypatch.setattr(recorded_outages, "EVERY_S", 500.0)  # one outage or two stand for the twenty
+    found = recorded_outages.measure(folder, untold)
+    for name in recorded_outages.SWEPT:
+        planned = [outage.start_s for outage in recorded_outages.placed(read_drive(folder / name))]
+        for method in recorded_outages.METHODS:
+            sweep = found[name]["sweep"][method]
+            assert [run["start_s"] for run in sweep["outages"]] == planned
+            assert sum(run["end_m"] is None for run in sweep["outages"]) == sweep["without_position"]
     for name, outage in recorded_outages.NAMED.items():
         assert found[name]["outage"]["start_s"] == outage.start_s
         assert found[name]["outage"]["causal"]["rms_m"] > 0.0
@@ -192,6 +203,7 @@ def test_what_cannot_be_measured_is_refused_in_one_line(words, message, capsys):
 
 def test_without_recorded_drives_that_part_is_left_out_unless_asked_for(one_drive, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(navigation, "DRIVES", tmp_path)
+    monkeypatch.setattr(mobile_mapping, "SEEDS", (1,))
     assert main(["bench", "--navigation", "--part", "real"]) == 2
     assert f"{tmp_path}: no drive folder" in capsys.readouterr().err
     found = navigation.measure([], None, lambda part, done, total: None)

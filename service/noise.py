@@ -191,3 +191,12 @@ def _misfit(sensor: str, fits: Sequence[AllanFit]) -> list[str]:
         f"{sensor} {', '.join(axes)}: its Allan deviation is off the fit by some {worst:.0f} % of itself beyond chance "
         "(vibration, cycles or warmth); the intervals are wider for it"
     ]
+
+
+def told(term: NoiseTerm | None, factor: float) -> str:
+    """A noise with its interval; what it may be at most where it is not seen."""
+    if term is None:
+        return "not reached"
+    if not term.resolved:
+        return f"below {factor * term.high:.3g}"
+    return f"{factor * term.value:.4g} ({factor * term.low:.3g} to {factor * term.high:.3g})"

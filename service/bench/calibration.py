@@ -21,6 +21,7 @@ from core.simulation.sensors import UNCALIBRATED, DeviceErrors, draw_errors
 from service.bench import calibration_gyroscope, calibration_noise, calibration_recordings, minimiser
 from service.bench.calibration_targets import SEED1_TABLE_2, TARGETS
 from service.bench.simulated_outages import Tell
+from service.bench.stated_spread import over_stated
 from service.bench.targets import judged
 from service.errors import UsageError
 
@@ -67,14 +68,10 @@ def against_truth(tell: Tell, units: int = UNITS) -> dict[str, Any]:
         iterations.append(fit.iterations)
         wrong += fit.positions != POSITIONS
         weak += not fit.observability.observable
-    outside = np.abs(np.array(ratios)) > 3.0
     return {
         "units": units,
         "positions": POSITIONS,
-        "outside_3_sd": dict(zip(PARAMETERS, outside.mean(axis=0).tolist(), strict=True)),
-        "outside_3_sd_worst": float(outside.mean(axis=0).max()),
-        "outside_3_sd_all": float(outside.mean()),
-        "rms_over_sd": dict(zip(PARAMETERS, np.sqrt(np.mean(np.square(ratios), axis=0)).tolist(), strict=True)),
+        **over_stated(ratios, PARAMETERS),
         "iterations_max": max(iterations),
         "wrong_positions": wrong,
         "called_weak": weak,

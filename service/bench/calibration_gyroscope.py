@@ -21,6 +21,7 @@ from core.simulation.calibration_recording import Handling, SimulatedRecording, 
 from core.simulation.sensors import GYROSCOPE, UNCALIBRATED, draw_errors
 from service.bench.calibration_targets import SEED1_TABLE_3
 from service.bench.simulated_outages import Tell
+from service.bench.stated_spread import over_stated
 
 UNITS: Final = 500
 REPEATED_UNITS: Final = 20
@@ -61,16 +62,10 @@ def against_truth(tell: Tell, units: int = UNITS) -> dict[str, Any]:
         iterations.append(fit.iterations)
         weak += not fit.observability.observable
         left_out += fit.left_out
-    outside = np.abs(np.array(ratios)) > 3.0
     return {
         "units": units,
         "positions": POSITIONS,
-        "outside_3_sd": dict(zip(GYROSCOPE_PARAMETERS, outside.mean(axis=0).tolist(), strict=True)),
-        "outside_3_sd_worst": float(outside.mean(axis=0).max()),
-        "outside_3_sd_all": float(outside.mean()),
-        "rms_over_sd": dict(
-            zip(GYROSCOPE_PARAMETERS, np.sqrt(np.mean(np.square(ratios), axis=0)).tolist(), strict=True)
-        ),
+        **over_stated(ratios, GYROSCOPE_PARAMETERS),
         "iterations_max": max(iterations),
         "called_weak": weak,
         "turns_left_out": left_out,

@@ -11,8 +11,9 @@ from core.calibration.allan_fit import NoiseTerm
 from core.calibration.recording import CalibrationRecording
 from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FloatArray
+from core.sensors import AXES
 from service.bench.simulated_outages import Tell
-from service.noise import AXES, measure_noise
+from service.noise import measure_noise
 from service.recordings.calibration_recording import ReadRecording
 from service.reports.customary import CUSTOMARY
 

@@ -14,7 +14,7 @@ from schemas.calibration import Calibration
 from service.cli.drives import read_settings
 from service.cli.progress import Progress
 from service.cli.recordings import add_recording, read_with_bar
-from service.noise import NoiseOutcome, measure_noise
+from service.noise import NoiseOutcome, measure_noise, told
 from service.reports.customary import CUSTOMARY
 
 _CELL: Final = 25
@@ -79,12 +79,3 @@ def _together(terms: list[NoiseTerm | None], factor: float) -> str:
     """Root mean square of the axes, as one figure for the sensor; a dash where an axis does not show it."""
     values = [term.value for term in terms if term is not None and term.resolved]
     return f"{factor * math.sqrt(sum(v * v for v in values) / len(terms)):.4g}" if len(values) == len(terms) else "–"
-
-
-def told(term: NoiseTerm | None, factor: float) -> str:
-    """A noise with its interval; what it may be at most where it is not seen."""
-    if term is None:
-        return "not reached"
-    if not term.resolved:
-        return f"below {factor * term.high:.3g}"
-    return f"{factor * term.value:.4g} ({factor * term.low:.3g} to {factor * term.high:.3g})"

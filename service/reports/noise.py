@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 
 from core.calibration.allan import TERMS
-from core.calibration.allan_fit import AllanFit, NoiseTerm
+from core.calibration.allan_fit import AllanFit
 from core.measurements import FloatArray
 from core.sensors import AXES
-from service.noise import NoiseOutcome
+from service.noise import NoiseOutcome, told
 from service.reports.customary import CUSTOMARY
 from service.reports.page import Section, Table, page
 from service.reports.plots import AMBER, BAND, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, Plot, Trace, packed
@@ -39,7 +39,7 @@ def _summary(outcome: NoiseOutcome) -> Section:
     rows = []
     for sensor, fits in outcome.fits.items():
         for name, (unit, factor) in CUSTOMARY[sensor].items():
-            cells = [_told(getattr(fit, name), factor) for fit in fits]
+            cells = [told(getattr(fit, name), factor) for fit in fits]
             rows.append([f"{sensor}: {name.replace('_', ' ')}, {unit}", *cells])
     parts = [
         Table("Recording", [], facts, prose=True),
@@ -128,11 +128,3 @@ def _band(x: FloatArray, low: FloatArray, high: FloatArray, name: str, group: st
         "showlegend": name == "95 %",
     }
     return _line(around_x, around_y, name, BAND, line={"width": 0}) | shape
-
-
-def _told(term: NoiseTerm | None, factor: float) -> str:
-    if term is None:
-        return "not reached"
-    if not term.resolved:
-        return f"below {factor * term.high:.3g}"
-    return f"{factor * term.value:.4g} ({factor * term.low:.3g}–{factor * term.high:.3g})"

@@ -40,6 +40,7 @@ _STILL_FACTOR = PARAMETER["still_factor"]
 _STILL_MEAN = PARAMETER["still_mean_accel_mps2"]
 _STILL_RATE = PARAMETER["still_mean_gyro_radps"]
 _STILL_PATIENCE = PARAMETER["still_patience_s"]
+_STILL_LEAVING = PARAMETER["still_leaving"]
 _STILL_ROLLING = PARAMETER["still_rolling_mps"]
 _STILL_LONGEST = PARAMETER["still_longest_patience_s"]
 _ZUPT = PARAMETER["zupt_sd_mps"]
@@ -83,7 +84,7 @@ def _as_when_standing(x: FloatArray, par: FloatArray, spread_f: float, spread_w:
 
 
 @compiled()
-def _quiet(x: FloatArray, p: FloatArray, par: FloatArray, speed_sd: float) -> tuple[bool, float, float]:
+def _quiet(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray, speed_sd: float) -> tuple[bool, float, float]:
     """Whether over one second the 0.1 s means hardly move (they hide the engine's shaking, not the road's).
 
     And what is left of them is gravity and biases alone, and the filter does not hold a speed far above its own
@@ -109,6 +110,11 @@ def _quiet(x: FloatArray, p: FloatArray, par: FloatArray, speed_sd: float) -> tu
     if spread_f > par[_STILL_ACCEL] ** 2 or spread_w > par[_STILL_GYRO] ** 2:
         return False, 0.0, 0.0
     spread_f, spread_w = math.sqrt(spread_f), math.sqrt(spread_w)
+    # A gentle pull-away hides in the second's spread until it has gained some 0.1 m/s, and would be taken for tilt.
+    newest = X_RING + ((ti[I_BLOCKS] - 1) % N_BLOCKS) * 6
+    leaving_sq = (x[newest] - mean_0) ** 2 + (x[newest + 1] - mean_1) ** 2 + (x[newest + 2] - mean_2) ** 2
+    if x[X_STILL_F] > 0.0 and leaving_sq > (par[_STILL_LEAVING] * x[X_STILL_F]) ** 2:
+        return False, 0.0, 0.0
     # Where the filter's own speed is no witness, it has to be as quiet as this vehicle is when it stands.
     uncertain = speed_sd > par[_STILL_SPEED]
     if uncertain and x[X_STILL_F] > 0.0 and not _as_when_standing(x, par, spread_f, spread_w):
@@ -150,7 +156,7 @@ def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) ->
         return
     x[X_HEAVE] = math.sqrt(_moments(x, 2)[1])
     speed_sd = _speed_sd(p)
-    quiet, spread_f, spread_w = _quiet(x, p, par, speed_sd)
+    quiet, spread_f, spread_w = _quiet(x, ti, p, par, speed_sd)
     if not quiet:
         ti[T_QUIET] = 0
         return

@@ -203,6 +203,13 @@ class Tuning(Tunables):
         high=10,
         source="choice: over the level learnt when standing; rolling at 4 m/s on a smooth road is three times it",
     )
+    still_leaving: float = tunable(
+        3.0,
+        unit="1",
+        low=1,
+        high=100,
+        source="newest 0.1 s off the second's mean, over the level learnt when standing: 1e-5 by chance",
+    )
     still_patience_s: float = tunable(
         2.0,
         unit="s",

@@ -502,3 +502,19 @@ def test_a_quiet_second_is_a_standstill_only_where_the_filter_may_be_wrong_of_it
         case.x[state.X_BLOCK : state.X_BLOCK + 6] = 10 * np.concatenate([-C.T @ gravity_n, GYRO_BIAS_B])
         close_block(case.x, case.ti, case.p, case.par)
     assert bool(case.ti[state.I_STATIONARY]) is stands
+
+
+@pytest.mark.parametrize(("force_mps2", "stands"), [(0.02, True), (0.06, False)])
+def test_a_gentle_pull_away_ends_a_standstill_with_its_first_tenth_of_a_second(force_mps2, stands):
+    case = Case.of(VEL, 0.0, 0.02, v_vehicle=(0.0, 0.0, 0.0), tuning=Tuning())
+    case.x[state.X_STILL_F], case.x[state.X_STILL_W] = 0.015, 1e-3
+    C, gravity_n = matrix_from_quaternion(case.x[:4]), case.x[state.X_G : state.X_G + 3]
+    for forward_mps2 in [*[0.0] * 20, force_mps2]:
+        case.ti[state.T_NOW] += kernel.BLOCK_NS
+        case.ti[state.I_BLOCK] = 10
+        force_b = -C.T @ gravity_n + [forward_mps2, 0.0, 0.0]
+        case.x[state.X_BLOCK : state.X_BLOCK + 6] = 10 * np.concatenate([force_b, GYRO_BIAS_B])
+        # What was learnt of standing is of a real engine; these blocks are quieter.
+        case.x[state.X_STILL_F], case.x[state.X_STILL_W] = 0.015, 1e-3
+        close_block(case.x, case.ti, case.p, case.par)
+    assert bool(case.ti[state.I_STATIONARY]) is stands

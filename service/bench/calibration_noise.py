@@ -48,7 +48,6 @@ def measure(place: Path, tell: Tell) -> dict[str, Any]:
         }
     walks = [one["random_walk"]["value"] for one in axes.values()]
     floors = [one["floor"] for one in axes.values() if one["floor"] is not None]
-    apart = [one["floor_non_overlapping"] for one in axes.values()]
     rms = float(np.sqrt(np.mean([one["value"] ** 2 for one in floors]))) if len(floors) == len(axes) else None
     return {
         "duration_s": outcome.duration_s,
@@ -56,8 +55,6 @@ def measure(place: Path, tell: Tell) -> dict[str, Any]:
         "random_walk_rms": float(np.sqrt(np.mean(np.square(walks)))),
         "random_walk_outside": _outside(walks, RANDOM_WALK),
         "floor_rms": rms,
-        "floor_rms_outside": None if rms is None else _outside([rms], FLOOR),
-        "floor_non_overlapping_outside": _outside(apart, FLOOR),
         "floors_outside": sum(_outside([one["value"]], FLOOR) > 0.0 for one in floors),
         "floor_intervals_outside": len(axes)
         - sum(one["low"] <= FLOOR[1] and one["high"] >= FLOOR[0] for one in floors),

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from core.accident.detector import ImpactDetector
 from core.accident.events import Impact, VehicleMotion
 from core.accident.paper_rule import PaperRule
-from core.accident.placing import RECENT_S, Accident, newest, placed, told_until
+from core.accident.placing import RECENT_S, Accident, Suppressed, newest, place_at, told_until
 from core.accident.thresholds import DetectorThresholds
 from core.box_clock import ANEW, LET_GO, STEPPED, BoxClock
 from core.calibration.drift import Biases, BiasUpdate
@@ -63,7 +63,8 @@ class MountingEstimate:
 class Outputs:
     """What one step brought: track rows every 100 ms, accidents, trips begun or changed, counts, and biases.
 
-    ``biases`` are what a trip that has ended made of the calibration's.
+    ``biases`` are what a trip that has ended made of the calibration's, ``suppressed`` what felt like an accident
+    and was none.
 
     ``counts`` names what the step met, such as ``gnss_position.fused``, ``gnss_position.rejected_gate``,
     ``imu.rejected_time``, ``imu.reset``, ``mounting.found``, ``mounting.contradicted``, ``clock.stepped_back``; only
@@ -75,6 +76,7 @@ class Outputs:
     trips: tuple[Trip, ...]
     counts: Mapping[str, int]
     biases: tuple[BiasUpdate, ...] = ()
+    suppressed: tuple[Suppressed, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +191,9 @@ class Session:
                         self._in_force.follower.trip_ended(trip.end_t_ns)
         track = Track.joined(tracks)
         rows = Track.joined([self._recent, track])
-        accidents = tuple(placed(impact, told_until(rows, impact.decided_t_ns)) for impact in impacts)
+        accidents = tuple(
+            Accident(impact, place_at(impact.t_ns, told_until(rows, impact.decided_t_ns))) for impact in impacts
+        )
         self._recent = newest(rows, RECENT_S)
         self._add_counts(self._filter.counts - before, counts)
         return Outputs(track, accidents, tuple(trips), counts, tuple(updates))

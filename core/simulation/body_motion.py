@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import lfilter
 
 from core.earth import STANDARD_GRAVITY_MPS2
@@ -24,14 +23,12 @@ class BodyMotion:
     shake_b : (n, 3) further acceleration in the box's axes, m/s2
     rpy_rad : (n, 3) roll, pitch, yaw of the box
     v_n : (n, 2) horizontal velocity in the level axes, m/s
-    ignition : (n,) uint8
     """
 
     accel_n: FloatArray
     shake_b: FloatArray
     rpy_rad: FloatArray
     v_n: FloatArray
-    ignition: npt.NDArray[np.uint8]
 
     def felt(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Specific force (m/s2), angular rate (rad/s) and the unit vector down, (n, 3) each in the box's axes."""
@@ -46,10 +43,10 @@ class BodyMotion:
         return np.hypot(self.v_n[:, 0], self.v_n[:, 1])
 
 
-def rate_b(rpy_rad: FloatArray) -> FloatArray:
-    """Angular rate (n, 3), rad/s, of a body whose roll, pitch and yaw are (n, 3) at ``FINE_HZ``."""
+def rate_b(rpy_rad: FloatArray, rate_hz: float = FINE_HZ) -> FloatArray:
+    """Angular rate (n, 3), rad/s, of a body whose roll, pitch and yaw are (n, 3), ``rate_hz`` times a second."""
     roll, pitch = rpy_rad[:, 0], rpy_rad[:, 1]
-    roll_d, pitch_d, yaw_d = (np.gradient(angle) * FINE_HZ for angle in rpy_rad.T)
+    roll_d, pitch_d, yaw_d = (np.gradient(angle) * rate_hz for angle in rpy_rad.T)
     return np.column_stack(
         [
             roll_d - yaw_d * np.sin(pitch),

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
@@ -21,7 +20,6 @@ from core.simulation.sensors import gauss_markov
 from core.tunables import Tunables, tunable
 
 G: Final = STANDARD_GRAVITY_MPS2
-Flags = npt.NDArray[np.uint8]
 _DEG: Final = math.pi / 180.0
 
 
@@ -94,6 +92,7 @@ def seen(
     rng: np.random.Generator,
     start_t_ns: int,
     aligned_after_s: float = 0.0,
+    ignition: bool | None = None,
     spoilt_at_s: float | None = None,
 ) -> VehicleMotion:
     """What a detector is given of a motion: calibrated samples of the box with the filter's attitude and speed.
@@ -121,6 +120,7 @@ def seen(
         speed_mps=speed,
         saturated=saturated,
         gravity_mps2=G,
+        ignition=ignition,
     )
 
 
@@ -131,14 +131,15 @@ def sample_times_ns(n: int, rate_hz: float, start_t_ns: int) -> TimeArray:
 
 def converted(
     signal: FloatArray, full_scale: float, density: float, rate_hz: float, rng: np.random.Generator
-) -> tuple[FloatArray, Flags]:
+) -> tuple[FloatArray, FloatArray]:
     """With white noise of a density (signal/sqrt(Hz)), clipped, (n, 3), and which rows are at full scale, (n,)."""
     noisy = signal + density * math.sqrt(rate_hz / 2.0) * rng.standard_normal(signal.shape)
     clipped = np.clip(noisy, -full_scale, full_scale)
-    return clipped, np.asarray((np.abs(noisy) >= full_scale).any(axis=1), dtype=np.uint8)
+    saturated: FloatArray = (np.abs(noisy) >= full_scale).any(axis=1).astype(np.uint8)  # type: ignore[assignment]
+    return clipped, saturated
 
 
-def spoilt(f: FloatArray, saturated: Flags, row: int, full_scale: float, rng: np.random.Generator) -> None:
+def spoilt(f: FloatArray, saturated: FloatArray, row: int, full_scale: float, rng: np.random.Generator) -> None:
     """A converter that fails, in place: single spikes, samples stuck at full scale, a flipped bit, or zeros."""
     form = rng.integers(4)
     axis = int(rng.integers(3))

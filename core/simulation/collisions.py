@@ -20,7 +20,7 @@ from core.simulation.shapes import Shape
 from core.simulation.trajectory import matrices_b_from_n, rotate
 
 SPIN_DECAY_RADPS2: Final = 2.5
-"""How fast tyres stop a spin, rad/s2: half of what they could if the car turned on the spot (mu g a / k^2). A choice."""
+"""How fast tyres stop a spin, rad/s2: half of what would be on the spot (mu g a / k^2). A choice."""
 GRIP: Final = 0.7
 """Of tyres that slide; dry asphalt 0.7 to 0.8 (Gillespie 1992)."""
 
@@ -143,8 +143,7 @@ def collide(
     omega_d = np.gradient(omega, axis=0) * FINE_HZ
     arm = np.broadcast_to(np.array(collision.box_m), omega.shape)
     shake_b = shake_b + np.cross(omega, np.cross(omega, arm)) + np.cross(omega_d, arm)
-    ignition = np.full(n, collision.ignition, dtype=np.uint8)
-    motion = BodyMotion(accel_n, shake_b, rpy, v_n, ignition)
+    motion = BodyMotion(accel_n, shake_b, rpy, v_n)
     return motion, _truth(collision, motion, yaw, blow_rows, before_s)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -22,6 +22,8 @@ LEAD_S: Final = 12.0
 """Before what happens, s: a detector knows its past by then."""
 TAIL_S: Final = 12.0
 """After it, s: until it would have been told, and rest or driving on was seen."""
+IGNITION_KNOWN: Final = 0.7
+"""Share of boxes that are told whether the ignition is on. A choice."""
 ROAD_SHAKE_MPS2: Final = (0.25, 1.6)
 """Vertical shaking by the road at 14 m/s, sd: smooth asphalt to a worn-out road, as shocks_road_anomalies_2017 has them
 (medians 0.5 regular, 0.9 worn out; four fifths of it body bounce below 6 Hz)."""
@@ -36,7 +38,6 @@ class AccidentCase:
     box: Box
     truth: Truth
     t_ns: int
-    ignition: bool
 
     @property
     def clipped(self) -> bool:
@@ -55,17 +56,6 @@ class QuietCase:
     hardness: float
     begin_ns: int
     end_ns: int
-    ignition: bool
-
-    def json(self) -> dict[str, Any]:
-        """As one object of truth.json."""
-        return {
-            "kind": self.kind.value,
-            "hardness": self.hardness,
-            "begin_ns": self.begin_ns,
-            "end_ns": self.end_ns,
-            "ignition": self.ignition,
-        }
 
 
 def accident_case(
@@ -82,9 +72,10 @@ def shown(collision: Collision, rng: np.random.Generator, seed: int, box: Box, l
     motion, truth = collide(collision, rng, lead_s, last_s + TAIL_S)
     motion = on_a_road(motion, rng, collision.ignition)
     aligned_after_s = 2.0 * lead_s + 100.0 if rng.random() < 0.05 else 0.0
-    given = seen(motion, box, rng, START_T_NS, aligned_after_s)
+    ignition = collision.ignition if rng.random() < IGNITION_KNOWN else None
+    given = seen(motion, box, rng, START_T_NS, aligned_after_s, ignition)
     t_ns = START_T_NS + round(truth.t_s * 1e9)
-    return AccidentCase(seed, given, box, truth, t_ns, collision.ignition)
+    return AccidentCase(seed, given, box, truth, t_ns)
 
 
 def quiet_case(
@@ -101,10 +92,11 @@ def quiet_case(
     motion = on_a_road(disturbed(disturbance), rng, disturbance.ignition)
     spoilt_at_s = LEAD_S + 0.5 if kind is NonAccident.SENSOR_GLITCH else None
     aligned_after_s = 1e9 if rng.random() < 0.05 else 0.0
-    given = seen(motion, box, rng, START_T_NS, aligned_after_s, spoilt_at_s)
+    ignition = disturbance.ignition if rng.random() < IGNITION_KNOWN else None
+    given = seen(motion, box, rng, START_T_NS, aligned_after_s, ignition, spoilt_at_s)
     begin = START_T_NS + round(LEAD_S * 1e9)
     end = begin + round(disturbance.duration_s * 1e9)
-    return QuietCase(seed, given, box, kind, disturbance.hardness, begin, end, disturbance.ignition)
+    return QuietCase(seed, given, box, kind, disturbance.hardness, begin, end)
 
 
 def disturbed(disturbance: Disturbance, lead_s: float = LEAD_S, tail_s: float = TAIL_S) -> BodyMotion:
@@ -119,7 +111,6 @@ def disturbed(disturbance: Disturbance, lead_s: float = LEAD_S, tail_s: float = 
         shake_b=np.pad(disturbance.accel_b, pad),
         rpy_rad=rpy,
         v_n=np.column_stack([speed, np.zeros(speed.size)]),
-        ignition=np.full(speed.size, disturbance.ignition, dtype=np.uint8),
     )
 
 

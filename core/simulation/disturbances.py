@@ -203,7 +203,7 @@ def railway_crossing(rng: np.random.Generator, speed_mps: float) -> Disturbance:
 
 
 def vibration(rng: np.random.Generator, speed_mps: float) -> Disturbance:
-    """A train of shaking 3 to 12 s long: cobbles, a rumble strip, gravel's corrugations, a worn road (ISO 8608, C to E)."""
+    """A train of shaking 3 to 12 s long: cobbles, a rumble strip, gravel's waves, a worn road (ISO 8608, C to E)."""
     hard = hardness(rng)
     length_m = speed_mps * rng.uniform(3.0, 12.0)
     k = round(length_m / GRID_M)

@@ -113,7 +113,7 @@ def boot_slam(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
 
 
 def tow(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
-    """Ignition off: jerks of a winch to 0.5 g, the car tilts by 5 to 22 degrees within a minute, stands, comes level."""
+    """Ignition off: jerks of a winch to 0.5 g, the car tilts by 5 to 22 degrees within a minute, comes level."""
     hard = hardness(rng)
     tilt, tilt_s, stand_s = math.radians(between(5.0, 22.0, hard)), rng.uniform(15.0, 60.0), rng.uniform(5.0, 30.0)
     t = times_s(2 * tilt_s + stand_s + 4.0)

@@ -14,8 +14,9 @@ from core.atmosphere import pressure_height_m, standard_pressure_pa
 from core.errors import InvalidInputError
 from core.measurements import Measurements, TimeArray
 from core.sensors import TriadCalibration
-from core.simulation import roads
+from core.simulation import low_speed_series, roads
 from core.simulation.gnss import Receiver, measure_gnss
+from core.simulation.overlay import laid_over
 from core.simulation.route import Route, Sky
 from core.simulation.sensors import (
     EXACT_MEMS,
@@ -113,6 +114,11 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             430.0,
             device=UNCALIBRATED,
         ),
+        "seed1": Scenario(
+            "3.5 h below 20 m/s: 21 low-speed accidents, a third of them in outages, among potholes, kerbs, hard braking",
+            low_speed_series.seed1,
+            12600.0,
+        ),
         "crash_series": Scenario("an accident of any kind every two to three minutes", roads.crash_series, 3600.0),
     }
 )
@@ -175,7 +181,7 @@ def simulate(
     inertial_rng, slow_rng, air_rng = noise_rngs
     route = chosen.route(route_rng, length_s)
     errors = draw_errors(chosen.device, unit_rng)
-    trajectory = drive(route, MADRID, rate_hz, chosen.suspension)
+    trajectory = laid_over(drive(route, MADRID, rate_hz, chosen.suspension), route.disturbances)
     f_s, omega_s = measure_inertial(trajectory, chosen.device, errors, inertial_rng)
     gnss_t_s, gnss = measure_gnss(trajectory, route.sky, chosen.receiver, chosen.gnss_lever_arm_b_m, slow_rng)
     magnetic_t_s, magnetic = measure_magnetic(trajectory, MADRID.field_n_ut, chosen.device, errors, slow_rng)
@@ -248,6 +254,15 @@ def _truth(
         "outages": spans(Sky.TUNNEL, Sky.OUTAGE),
         "canyons": spans(Sky.CANYON),
         "bumps": [{"t_s": round(one.start_s, 3), "height_m": one.height_m} for one in route.bumps],
+        "non_accidents": [
+            {
+                "t_s": round(t_s, 3),
+                "duration_s": round(one.duration_s, 3),
+                "kind": one.kind.value,
+                "hardness": round(one.hardness, 3),
+            }
+            for t_s, one in route.disturbances
+        ],
         "sensor_errors": {
             "accelerometer": _calibration_json(errors.accelerometer),
             "gyroscope": _calibration_json(errors.gyroscope),

@@ -8,7 +8,7 @@ import numpy as np
 
 from core.simulation.crashes import Crash
 from core.simulation.disturbances import NonAccident
-from core.simulation.handling import SOURCES
+from core.simulation.handling import SOURCES, Source
 from core.simulation.pulses import CRASH_SHAPES
 from core.simulation.roads import CRUISE_MPS, LONGEST_BLOCK_S, STILL_START_S, finish, streets
 from core.simulation.route import Route, RouteBuilder, Sky
@@ -16,8 +16,7 @@ from core.simulation.shapes import Shape
 
 ACCIDENTS: Final = 21
 WHOLE_S: Final = 12600.0
-SPACING_S: Final = WHOLE_S / (ACCIDENTS + 1)
-"""From one accident to the next; a shorter drive has fewer."""
+"""A shorter drive has fewer."""
 IN_OUTAGE: Final = 3
 """Every third accident lies in an outage of GNSS of 40 to 60 s."""
 
@@ -36,14 +35,18 @@ _BRAKING_MPS2: Final = (6.0, 9.5)
 
 
 def seed1(rng: np.random.Generator, duration_s: float) -> Route:
-    """Streets; between two accidents two rounds of non-accidents and a hard braking; 21 accidents in 3.5 h."""
+    """Streets with a non-accident every half a minute, now and then a hard braking, and 21 accidents in 3.5 h."""
     b = RouteBuilder(heading_deg=rng.uniform(0.0, 360.0)).hold(STILL_START_S)
     accidents = max(1, round(ACCIDENTS * duration_s / WHOLE_S))
+    spacing_s = duration_s / (accidents + 1)
+    met = 0
     for accident in range(accidents):
-        until_s = min(b.t_s + SPACING_S, (accident + 1) * SPACING_S) - 30.0
-        while b.t_s + 3 * LONGEST_BLOCK_S < until_s:
-            _shaken(b, rng)
-            streets(b, rng, b.t_s + LONGEST_BLOCK_S + 20.0, canyons=False)
+        until_s = (accident + 1) * spacing_s - 30.0
+        while b.t_s + 2 * LONGEST_BLOCK_S < until_s:
+            _shaken(b, SOURCES[_AMONG[met % len(_AMONG)]], rng)
+            met += 1
+            if met % len(_AMONG) == 0:
+                streets(b, rng, min(b.t_s + LONGEST_BLOCK_S + 20.0, until_s), canyons=False)
         crash, speed_mps = low_speed_crash(rng)
         b.to_speed(speed_mps, 2.0).hold(rng.uniform(1.5, 4.0))
         if accident % IN_OUTAGE == IN_OUTAGE - 1:
@@ -72,14 +75,14 @@ def low_speed_crash(rng: np.random.Generator) -> tuple[Crash, float]:
     return crash, speed_mps
 
 
-def _shaken(b: RouteBuilder, rng: np.random.Generator) -> None:
-    """Each of the kinds once, in any order, and a hard braking."""
-    for kind in rng.permutation(np.array(_AMONG, dtype=object)):
-        source = SOURCES[kind]
-        if source.high_mps == 0.0:
-            b.to_speed(0.0, 2.0).hold(2.0)
-        else:
-            b.to_speed(rng.uniform(max(source.low_mps, 1.5), min(source.high_mps, 15.0)), 2.0).hold(1.0)
-        b.disturb(source.draw(rng, b.speed_mps)).hold(1.5)
-    b.to_speed(rng.uniform(10.0, 15.0), 2.2)
-    b.to_speed(rng.uniform(0.0, 4.0), rng.uniform(*_BRAKING_MPS2), Shape.ABRUPT).hold(2.0)
+def _shaken(b: RouteBuilder, source: Source, rng: np.random.Generator) -> None:
+    """A non-accident, on the way to it a turn or a bend, and in one of four a hard braking after it."""
+    if source.high_mps == 0.0:
+        b.to_speed(0.0, 2.0).hold(2.0)
+    else:
+        b.to_speed(6.0).turn(rng.choice([-1.0, 1.0]) * rng.uniform(10.0, 90.0), rng.uniform(10.0, 20.0))
+        b.to_speed(rng.uniform(max(source.low_mps, 1.5), min(source.high_mps, 15.0)), 2.0).hold(1.0)
+    b.disturb(source.draw(rng, b.speed_mps)).hold(1.5)
+    if rng.random() < 0.25:
+        b.to_speed(rng.uniform(10.0, 15.0), 2.2)
+        b.to_speed(rng.uniform(0.0, 4.0), rng.uniform(*_BRAKING_MPS2), Shape.ABRUPT).hold(2.0)

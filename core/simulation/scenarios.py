@@ -115,7 +115,7 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             device=UNCALIBRATED,
         ),
         "seed1": Scenario(
-            "3.5 h below 20 m/s: 21 low-speed accidents, a third of them in outages, among potholes, kerbs, hard braking",
+            "3.5 h below 20 m/s: 21 low-speed accidents, a third in outages, among potholes, kerbs and hard braking",
             low_speed_series.seed1,
             12600.0,
         ),

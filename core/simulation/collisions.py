@@ -234,13 +234,15 @@ def _go_off_road(
     since_s: FloatArray, speed_mps: FloatArray, rpy: FloatArray, shake_b: FloatArray, rng: np.random.Generator
 ) -> None:
     """Rough ground until the car stands: 1 to 5 m/s2 of shaking at 10 m/s, a few degrees of roll and pitch."""
-    strength = np.where(since_s > 0.3, np.sqrt(speed_mps / 10.0), 0.0)[:, None]
+    strength = (np.clip((since_s - 0.3) / 0.3, 0.0, 1.0) * np.sqrt(speed_mps / 10.0))[:, None]
     n = since_s.size
     hard = rng.uniform(1.0, 5.0)
     noise = band_noise(n, 2.5, 0.4, rng) + band_noise(n, 12.0, 0.4, rng)
     shake_b += hard * strength * noise * np.array([0.4, 0.4, 1.0])
-    smooth = np.minimum(strength, 1.0) * np.radians(0.6 * hard) * band_noise(n, 1.2, 0.5, rng, 2)
-    rpy[:, :2] += smooth
+    tilt = np.minimum(strength, 1.0) * np.radians(0.6 * hard) * band_noise(n, 1.2, 0.5, rng, 2)
+    box = np.full(151, 1.0 / 151.0)  # twice, so that its second derivative is a car's and no noise's
+    for axis in range(2):
+        rpy[:, axis] += np.convolve(np.convolve(tilt[:, axis], box, mode="same"), box, mode="same")
 
 
 def _truth(collision: Collision, motion: BodyMotion, yaw: FloatArray, blow_rows: FloatArray, before_s: float) -> Truth:

@@ -29,14 +29,16 @@ class FilterErrors(Tunables):
     --part errors``)."""
 
     tilt_sd_rad: float = tunable(
-        0.35 * _DEG, unit="rad", low=0.0, high=0.2, source="measured: RMS of each axis while aided, city"
+        0.25 * _DEG, unit="rad", low=0.0, high=0.2, source="twice the RMS of an axis measured in city, 0.13 deg"
     )
-    tilt_s: float = tunable(20.0, unit="s", low=0.5, high=1000.0, source="measured: correlation time of that")
+    tilt_s: float = tunable(7.0, unit="s", low=0.5, high=1000.0, source="measured: correlation time of that")
     start_tilt_sd_rad: float = tunable(
         1.5 * _DEG, unit="rad", low=0.0, high=0.5, source="choice: alignment in motion, at first"
     )
-    speed_sd_mps: float = tunable(0.12, unit="m/s", low=0.0, high=5.0, source="measured: RMS while aided, city")
-    speed_s: float = tunable(15.0, unit="s", low=0.5, high=1000.0, source="measured: correlation time of that")
+    speed_sd_mps: float = tunable(
+        0.10, unit="m/s", low=0.0, high=5.0, source="measured in city: RMS 0.07 m/s; half as much again"
+    )
+    speed_s: float = tunable(6.0, unit="s", low=0.5, high=1000.0, source="measured: correlation time of that")
     recovery_s: float = tunable(
         1.0, unit="s", low=0.1, high=60.0, source="choice: a fix a second takes back what clipping hid from the filter"
     )

@@ -175,6 +175,13 @@ def simulate(
     length_s = chosen.duration_s if duration_s is None else duration_s
     if not SHORTEST_S <= length_s <= LONGEST_S:
         raise InvalidInputError(f"a drive of {length_s:g} s: expected {SHORTEST_S:g} s to {LONGEST_S / 3600:g} h")
+    return perform(scenario, chosen, seed, length_s, rate_hz, draw)
+
+
+def perform(
+    name: str, chosen: Scenario, seed: int, length_s: float, rate_hz: float = 200.0, draw: int = 0
+) -> SimulatedDrive:
+    """Simulate a scenario that need not be in ``SCENARIOS``; the rest as ``simulate``."""
     route_rng, unit_rng, *noise_rngs = np.random.default_rng(seed).spawn(5)
     if draw > 0:
         noise_rngs = np.random.default_rng([seed, draw]).spawn(3)
@@ -188,7 +195,7 @@ def simulate(
     speed_t_s, speed = measure_wheel_speed(trajectory, chosen.device, errors)
     barometer_t_s, pressure_pa = measure_pressure(trajectory, chosen.device, errors, air_rng)
     return SimulatedDrive(
-        scenario=scenario,
+        scenario=name,
         start_t_ns=START_T_NS,
         rate_hz=rate_hz,
         mounting_rpy_rad=chosen.device.mounting_rpy_rad,
@@ -209,7 +216,7 @@ def simulate(
             accel_full_scale_mps2=chosen.device.accelerometer.full_scale,
         ),
         trajectory=trajectory,
-        truth=_truth(scenario, seed, chosen.device, errors, route, trajectory),
+        truth=_truth(name, seed, chosen.device, errors, route, trajectory),
     )
 
 

@@ -144,7 +144,7 @@ def _long(found: Mapping[str, Any]) -> Iterable[str]:
 
 def _errors(found: Mapping[str, Any]) -> Iterable[str]:
     yield "errors of attitude and speed, the real filter's on whole drives and those of the fast ones:"
-    rows = [("", "tilt RMS, deg", "99 %, deg", "lasts, s", "speed RMS, m/s", "lasts, s")]
+    rows: list[Sequence[str]] = [("", "tilt RMS, deg", "99 %, deg", "lasts, s", "speed RMS, m/s", "lasts, s")]
     for name, one in found.items():
         cells = (f"{one[key]:.3g}" for key in ("tilt_rms_deg", "tilt_p99_deg", "tilt_s", "speed_rms_mps", "speed_s"))
         rows.append((name, *cells))

@@ -281,7 +281,7 @@ def test_the_filter_s_vertical_is_off_by_what_is_said_and_follows_a_rollover():
 
 @pytest.mark.parametrize("seed", range(8))
 def test_a_spoilt_converter_stays_within_its_range_and_leaves_the_rest_alone(seed):
-    f, saturated = np.tile([0.1, -0.2, -G], (1000, 1)), np.zeros(1000, dtype=np.uint8)
+    f, saturated = np.tile([0.1, -0.2, -G], (1000, 1)), np.zeros(1000)
     before = f.copy()
     spoilt(f, saturated, 400, 16 * G, np.random.default_rng(seed))
     changed = np.flatnonzero((f != before).any(axis=1))

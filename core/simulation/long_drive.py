@@ -400,8 +400,9 @@ def _road(
             heave += 0.5 * x[side, 1]
         roll = (heights[0] - heights[1]) / _TRACK_M
         pitch = keep * pitch + 0.3 * heave / _WHEELBASE_M / RATE_HZ
-        out[k, 0] = 0.5 * hop  # choice: suspensions give half of a wheel's force lengthwise
-        out[k, 1] = 0.3 * tilt / _TRACK_M + 0.15 * hop
+        # Choices, by which the spectra along and across come up to those of kth_stockholm and of phones on windshields.
+        out[k, 0] = 0.35 * lift + 0.5 * hop
+        out[k, 1] = 0.8 * tilt / _TRACK_M + 0.2 * hop
         out[k, 2] = -(lift + 0.3 * hop)
         out[k, 3], out[k, 4] = roll, pitch
     return out

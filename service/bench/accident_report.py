@@ -25,7 +25,7 @@ def tables(found: Mapping[str, Any]) -> str:
 
 def _seed1(found: Mapping[str, Any]) -> Iterable[str]:
     drives = found[OURS]["drives"]
-    yield f"seed 1's scenario, {len(drives)} drives of 3.5 h or as asked, through the whole session:"
+    yield f"seed 1's scenario, {len(drives)} drives, {found[OURS]['km']:.0f} km, through the whole session:"
     rows = [("drive", *(f"{name}: {what}" for name in DETECTORS for what in ("found", "false", "withdrawn")))]
     for at, drive in enumerate(drives):
         cells = []

@@ -218,7 +218,9 @@ def _extend(
         if not math.isfinite(usual[0]):
             usual[0], usual[1], usual[2] = dx, dy, dz
         x[row, UPRIGHT] = usual[0] * dx + usual[1] * dy + usual[2] * dz
-        if x[row, UPRIGHT] > 0.9 and abs(force - gravity_mps2) < band_mps2:
+        # While it stands, a car that is lifted or carried leans against how it stood.
+        stands = speed_mps[i] < standing_mps
+        if x[row, UPRIGHT] > 0.9 and abs(force - gravity_mps2) < band_mps2 and not stands:
             share = step / (usual_s + step)
             ex = usual[0] + share * (dx - usual[0])
             ey = usual[1] + share * (dy - usual[1])
@@ -233,7 +235,6 @@ def _extend(
             x[row, SLOW_Y] = x[row - 1, SLOW_Y] + slow * (x[row, A_Y] - x[row - 1, SLOW_Y])
             x[row, ROUGH] = x[row - 1, ROUGH] + rough * (x[row, A_Z] * x[row, A_Z] - x[row - 1, ROUGH])
         # A car that cruises on a smooth road feels like one that stands: only the filter's speed tells.
-        stands = speed_mps[i] < standing_mps
         x[row, CLIP_S] = x[row - 1, CLIP_S] + dt if saturated[i] != 0 and not first else 0.0
         x[row, REST_S] = x[row - 1, REST_S] + dt if stands and not first else 0.0
         x[row, HEADING_COS], x[row, HEADING_SIN] = cos, sin

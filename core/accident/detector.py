@@ -408,7 +408,7 @@ class ImpactDetector:
             towed=bool(self._seen_flags & FLAG_TOW),
         )  # fmt: skip
         rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
-        loose = shock.stood or shock.fell or rate > 2.0 * limits.judgement.rotation_radps
+        loose = shock.stood or shock.fell or rate > limits.judgement.rotation_radps
         speed_mps = float(level.x[first, SPEED])
         agrees = paper_rule.holds_within(level.x, first, row, limits.paper)
         if loose:

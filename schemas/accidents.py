@@ -17,6 +17,7 @@ AccidentStatus = Literal["suspected", "confirmed", "retracted", "false"]
 
 EvidenceStatus = Literal["pending", "partial", "complete", "final", "failed"]
 
+
 class Placed(BaseModel):
     """How well the place is known."""
 

@@ -1,4 +1,4 @@
-"""The events that tell of an accident: detected at once, then updated or retracted as more is known or somebody says."""
+"""The events that tell of an accident: detected at once, then updated or retracted as more is felt, or said."""
 
 from __future__ import annotations
 
@@ -34,9 +34,7 @@ def _later(row: AccidentRow) -> EventType:
     return EventType.ACCIDENT_RETRACTED if row.is_none else EventType.ACCIDENT_UPDATED
 
 
-def _event(
-    row: AccidentRow, kind: EventType, about: str, received_ns: int, review_id: str | None = None
-) -> NewEvent:
+def _event(row: AccidentRow, kind: EventType, about: str, received_ns: int, review_id: str | None = None) -> NewEvent:
     # What a later revision is called may depend on a reviewer who came in between; that it was told must not.
     first = kind is EventType.ACCIDENT_DETECTED
     body = AccidentBody(

@@ -107,9 +107,7 @@ def get_accident(
     return answer(request, accident_feature(row), media_type=GEOJSON_MEDIA_TYPE)
 
 
-def the_accident(
-    connection: Connection, tenant_id: str, accident_id: str, *, to_change: bool = False
-) -> AccidentRow:
+def the_accident(connection: Connection, tenant_id: str, accident_id: str, *, to_change: bool = False) -> AccidentRow:
     """The tenant's accident; raises NotFoundError for none, also where it is another tenant's."""
     row = accidents.find(connection, tenant_id, accident_id, to_change=to_change)
     if row is None:
@@ -165,7 +163,9 @@ def parse_bbox(text: str) -> Box:
 def accident_feature(row: AccidentRow) -> dict[str, Any]:
     """An accident as it is told."""
     own = ("vehicle_id", "trip_id", "revision", "kind", "status", "verdict", "severity", "confidence", "street")
-    properties = {name: getattr(row, name) for name in own} | {"evidence": row.evidence} | placed(row) | dict(row.detail)
+    properties = (
+        {name: getattr(row, name) for name in own} | {"evidence": row.evidence} | placed(row) | dict(row.detail)
+    )
     return geojson.feature(row.id, point_of(row), properties)
 
 

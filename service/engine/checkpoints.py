@@ -45,9 +45,7 @@ class Lag:
 
 def load(connection: Connection, vehicle_pk: int) -> Checkpoint | None:
     """The vehicle's checkpoint, if it has one."""
-    row = connection.execute(
-        select(*_columns(checkpoints)).where(checkpoints.c.vehicle_pk == vehicle_pk)
-    ).one_or_none()
+    row = connection.execute(select(*_columns(checkpoints)).where(checkpoints.c.vehicle_pk == vehicle_pk)).one_or_none()
     return None if row is None else Checkpoint(*row)
 
 

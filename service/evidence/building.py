@@ -1,7 +1,7 @@
 """Evidence by replay: a session is a pure fold, so its packets give again what it worked with, to the bit.
 
-The packets are read from the journal and folded by ``service.engine.vehicle.Vehicle``, as the engine does, from an older
-checkpoint on. The replay is held against what the live session stored, and the evidence says how they compare.
+The packets are read from the journal and folded by ``service.engine.vehicle.Vehicle``, as the engine does, from an
+older checkpoint on. The replay is held against what the live session stored, and the evidence says how they compare.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from service.engine import checkpoints
 from service.engine.sessions import session_config
 from service.engine.vehicle import Vehicle
 from service.evidence.bundle import Bundle, pack
-from service.evidence.tape import Tape, Table
+from service.evidence.tape import Table, Tape
 from service.ingest.journal_rows import load_rows, read_after
-from service.storage.accidents import AccidentRow
+from service.storage.accidents import REVIEWER, AccidentRow
 from service.storage.database import read
 from service.storage.evidence import AFTER_NS, BEFORE_NS, OpenEvidence
 from service.storage.tables import journal, track_points
@@ -170,9 +170,7 @@ def _compared(database: Engine, tape: Tape, accident: AccidentRow, ref: VehicleR
     """How the replay compares with what the live session stored: ``same`` is whether all of it agrees to the bit."""
     differences: list[str] = []
     same_revision = [
-        one
-        for one in tape.accidents
-        if one.impact.t_ns == accident.t_ns and one.impact.revision == accident.revision
+        one for one in tape.accidents if one.impact.t_ns == accident.t_ns and one.impact.revision == accident.revision
     ]
     if accident.detail["detector"] != REVIEWER:
         if same_revision:
@@ -197,17 +195,11 @@ def _compared(database: Engine, tape: Tape, accident: AccidentRow, ref: VehicleR
     return {"same": not differences, "differences": differences, "positions_compared": len(compared)}
 
 
-REVIEWER: Final = "reviewer"
-"""The detector of accidents that a person made of a candidate."""
-
-
 def _different(found: Accident, stored: AccidentRow, ref: VehicleRef) -> list[str]:
     again = accident_row(ref, found, trip_id=None, received_ns=0, stored_ns=0)
     skipped = {*_NOT_COMPARED, "detail"} | ({"status"} if stored.verdict else set())
     names = [
-        name
-        for name in AccidentRow.__slots__
-        if name not in skipped and getattr(again, name) != getattr(stored, name)
+        name for name in AccidentRow.__slots__ if name not in skipped and getattr(again, name) != getattr(stored, name)
     ]
     return names + [name for name, value in again.detail.items() if stored.detail.get(name) != value]
 

@@ -150,12 +150,9 @@ class Tape:
         none = np.empty((0, len(SAMPLE_COLUMNS)))
         raw = [np.hstack([m.f_s, m.omega_s]) for m in self._measured]
         body = [
-            np.hstack([s.f_b, s.omega_b, out.epochs, s.saturated[:, None], s.held[:, None]])
-            for s, out in self._fused
+            np.hstack([s.f_b, s.omega_b, out.epochs, s.saturated[:, None], s.held[:, None]]) for s, out in self._fused
         ]
-        values = np.hstack(
-            [np.concatenate([none[:, :6], *raw]), np.concatenate([none[:, 6:], *body])]
-        )
+        values = np.hstack([np.concatenate([none[:, :6], *raw]), np.concatenate([none[:, 6:], *body])])
         return self._table(raw_t_ns, values, SAMPLE_COLUMNS)
 
     def _table(self, t_ns: npt.NDArray[np.int64], values: FloatArray, columns: Sequence[str]) -> Table:

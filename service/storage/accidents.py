@@ -18,6 +18,9 @@ TRIP_LINK_NS: Final = 3600 * 1_000_000_000
 SHOWN: Final = ("suspected", "confirmed")
 """What is listed unless somebody asks for others: retracted and false ones were none."""
 
+REVIEWER: Final = "reviewer"
+"""The ``detector`` of accidents that a person made of a candidate."""
+
 _OF_FIRST: Final = ("id", "tenant_id", "vehicle_pk", "trip_id", "t_ns", "received_ns", "stored_ns", "verdict", "street")
 """Columns that no later revision changes."""
 
@@ -119,9 +122,7 @@ def trip_at(connection: Connection, vehicle_pk: int, t_ns: int) -> str | None:
     return found
 
 
-def find(
-    connection: Connection, tenant_id: str, accident_id: str, *, to_change: bool = False
-) -> AccidentRow | None:
+def find(connection: Connection, tenant_id: str, accident_id: str, *, to_change: bool = False) -> AccidentRow | None:
     """The tenant's accident; ``to_change`` keeps others from changing it until the transaction ends."""
     statement = _accidents(tenant_id).where(accidents.c.id == accident_id)
     row = connection.execute(statement.with_for_update(of=accidents) if to_change else statement).one_or_none()
@@ -141,8 +142,7 @@ def page(
         if values is not None:
             chosen = chosen.where(column.in_(values))
     return [
-        _accident(row)
-        for row in connection.execute(page_of(accidents, chosen, wanted.where, after=after, limit=limit))
+        _accident(row) for row in connection.execute(page_of(accidents, chosen, wanted.where, after=after, limit=limit))
     ]
 
 

@@ -60,9 +60,7 @@ def judge(connection: Connection, candidate_id: str, verdict: str) -> None:
     connection.execute(update(table).where(table.c.id == candidate_id).values(verdict=verdict))
 
 
-def find(
-    connection: Connection, tenant_id: str, candidate_id: str, *, to_change: bool = False
-) -> CandidateRow | None:
+def find(connection: Connection, tenant_id: str, candidate_id: str, *, to_change: bool = False) -> CandidateRow | None:
     """The tenant's candidate; ``to_change`` keeps others from changing it until the transaction ends."""
     statement = _candidates(tenant_id).where(accident_candidates.c.id == candidate_id)
     locked = statement.with_for_update(of=accident_candidates) if to_change else statement

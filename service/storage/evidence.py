@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
-from sqlalchemy import Connection, Row, delete, func, select, update
+from sqlalchemy import Connection, delete, func, select, update
 
 from schemas.vehicles import VehicleConfig
 from service.storage.accidents import AccidentRow
@@ -81,7 +81,7 @@ def open_ones(connection: Connection) -> list[OpenEvidence]:
         .where(evidence.c.status.in_(OPEN))
         .order_by(evidence.c.created_ns, evidence.c.accident_id)
     )
-    return [_open(row) for row in rows]
+    return [OpenEvidence(**{**row._mapping, "config": VehicleConfig.model_validate(row.config)}) for row in rows]
 
 
 def is_open(connection: Connection, vehicle_pk: int) -> bool:
@@ -120,7 +120,3 @@ def prune(connection: Connection, before_ns: int, limit: int) -> int:
 
 def _set(connection: Connection, accident_id: str, **values: Any) -> None:
     connection.execute(update(evidence).where(evidence.c.accident_id == accident_id).values(**values))
-
-
-def _open(row: Row[Any]) -> OpenEvidence:
-    return OpenEvidence(**{**row._mapping, "config": VehicleConfig.model_validate(row.config)})

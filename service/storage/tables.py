@@ -282,8 +282,9 @@ evidence = Table(
     Index("ix_evidence_status", "status"),
 )
 """``status`` is pending, partial (what there was when the vehicle fell silent; looked at again for a while), complete,
-final (partial for good) or failed (``reason`` says why). ``anchor_journal_id`` names the older checkpoint to replay from,
-null for none. ``config`` are the vehicle's settings of then; the bundle is one file, ``sha256`` over what it holds."""
+final (partial for good) or failed (``reason`` says why). ``anchor_journal_id`` names the older checkpoint to replay
+from, null for none. ``config`` are the vehicle's settings of then. ``bundle`` is one file, ``sha256`` over what it
+holds."""
 
 reviews = Table(
     "reviews",

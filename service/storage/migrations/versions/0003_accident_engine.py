@@ -127,8 +127,8 @@ def upgrade() -> None:
 
 def downgrade() -> None:
     """Go back to the one before, which would show all accidents: those that turned out to be none are removed."""
-    for table in ("audit", "reviews", "evidence", "accident_candidates", "older_checkpoints"):
-        op.drop_table(table)
+    for name in ("audit", "reviews", "evidence", "accident_candidates", "older_checkpoints"):
+        op.drop_table(name)
     op.execute(sa.delete(accidents).where(accidents.c.status.in_(("retracted", "false"))))
     op.execute(sa.update(accidents).values(status="detected"))
     with op.batch_alter_table("accidents") as table:

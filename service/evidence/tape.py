@@ -14,6 +14,7 @@ from core.calibration.in_force import BoxCalibration
 from core.measurements import GNSS_COLUMNS, FloatArray, Measurements
 from core.navigation.filter import FilterOutput
 from core.navigation.records import RECORD_COLUMNS, AidRecords
+from core.navigation.state import T_NEXT_OUTPUT
 from core.navigation.track import TRACK_COLUMNS, Track
 from core.past import BodySamples
 from core.session import MountingEstimate, Outputs, Session, SessionConfig
@@ -91,7 +92,7 @@ class Tape:
         settings = session_config(config, calibrations)
         session = Session(settings) if snapshot is None else Session.restore(settings, snapshot)
         if self._dense is not None:  # settings changed on the way
-            self._dense = Session.restore(every_sample(settings), self._dense.snapshot())
+            self._dense = _dense(settings, self._dense.snapshot())
         return RecordedSession(session, self)
 
     def take(self, session: Session, measurements: Measurements) -> Outputs:
@@ -104,7 +105,7 @@ class Tape:
         self.now_ns = session.filter.t_ns
         if not recording and self.now_ns >= self.from_ns:
             self.snapshot = before
-            self._dense = Session.restore(every_sample(session.config), before)
+            self._dense = _dense(session.config, before)
         if self._dense is not None:
             self._states.append(self._dense.step(measurements).track)
         if self.instruments is None or self.now_ns < self.t_ns:
@@ -179,7 +180,9 @@ class RecordedSession:
         return self._session.snapshot()
 
 
-def every_sample(config: SessionConfig) -> SessionConfig:
+def _dense(config: SessionConfig, snapshot: bytes) -> Session:
     """The same session with a row at each sample: rows are told, nothing depends on how often they are."""
     tuning = replace(config.filter.tuning, output_interval_s=0.0)
-    return replace(config, filter=replace(config.filter, tuning=tuning))
+    session = Session.restore(replace(config, filter=replace(config.filter, tuning=tuning)), snapshot)
+    session.filter.ti[T_NEXT_OUTPUT] = 0  # not only from the next of the usual rows on
+    return session

@@ -132,12 +132,12 @@ class EvidenceWorker:
         except Exception as error:
             logger.exception("the evidence of accident %s cannot be built", one.accident_id)
             with write(self._database) as connection:
-                evidence.fail(connection, one.accident_id, f"{type(error).__name__}: {error}", time.time_ns())
+                evidence.fail(connection, one.accident_id, f"{type(error).__name__}: {error}", now_ns)
             return
         status = "complete" if built.reached else "partial"
         street = self._street(one, built.bundle)
         with write(self._database) as connection:
-            evidence.keep(connection, one.accident_id, status, data, built.bundle.sha256, time.time_ns())
+            evidence.keep(connection, one.accident_id, status, data, built.bundle.sha256, now_ns)
             if street is not None:
                 accidents.name_street(connection, one.accident_id, street)
         replay = built.bundle.manifest["replay"]

@@ -34,8 +34,9 @@ CRASH_S: Final = (-0.5, 1.5)
 AROUND_S: Final = (-60.0, 30.0)
 GAP_S: Final = 0.25
 """Samples further apart are not joined by a line."""
-MAP_PX: Final = 460
-ROW_PX: Final = 140
+MAP_PX: Final = 400
+ROW_PX: Final = 96
+CRASH_ROW_PX: Final = 140
 
 _WORDS: Final = {
     "low_speed": "low speed",
@@ -59,17 +60,16 @@ class Dossier:
         """The page as one document."""
         samples = self.bundle.table("samples")
         motion, event = crash_motion(samples), event_of(self.bundle)
+        crash = [_crash_plot(motion, event, self.accident.t_ns)] if len(samples) else []
         sections = [
-            Section("What happened", self._missing(), [self._facts(event)]),
-            *self._map(samples),
-            Section("The crash", [], [_crash_plot(motion, event, self.accident.t_ns)] if len(samples) else []),
+            Section("What happened", self._missing(), [self._facts(), *self._map(samples)], beside=True),
+            Section("The crash", [], [*crash, _event_table(event)], beside=True),
             Section("Before and after", [], self._around(samples)),
-            Section("Event data (49 CFR 563)", [], [_event_table(event)]),
-            Section("What speaks for and against it", [], [self._reasons()]),
-            Section("Evidence", [], [self._evidence()]),
+            Section("Reasons and evidence", [], [self._reasons(), self._evidence()], beside=True),
             Section("Reviews", [] if self.reviews else ["Nobody has reviewed it."], self._reviews()),
         ]
-        return page(f"Accident of {self.accident.vehicle_id}, {_utc(self.accident.t_ns)}", sections)
+        title = f"Accident of {self.accident.vehicle_id}, {_utc(self.accident.t_ns)}"
+        return page(title, sections, compact=True)
 
     def _missing(self) -> list[str]:
         """What a reader must know before the rest."""
@@ -83,7 +83,7 @@ class Dossier:
             said.append("The way that led there is left out: it needs the scope positions:read.")
         return said
 
-    def _facts(self, event: EventData) -> Table:
+    def _facts(self) -> Table:
         row, felt = self.accident, self.accident.detail
         low, high = felt["delta_v_interval_mps"]
         interval = "" if low is None else f", 95 % within {_kmh(low)} and {'∞' if high is None else _kmh(high)} km/h"
@@ -113,7 +113,7 @@ class Dossier:
         ]  # fmt: skip
         return Table("The accident", [], facts, prose=True)
 
-    def _map(self, samples: EvidenceTable) -> list[Section]:
+    def _map(self, samples: EvidenceTable) -> list[Plot]:
         if not self.places:
             return []
         states, gnss = self.bundle.table("states"), self.bundle.table("gnss")
@@ -134,9 +134,7 @@ class Dossier:
         records = AidRecords(innovations["t_ns"], _values(innovations, RECORD_COLUMNS))
         offset_s = float(self.bundle.manifest["settings"]["gnss_time_offset_s"])
         chart = map_plot(drive, track, [], [_accident(self.accident)], records, offset_s)
-        if chart is None:
-            return [Section("Map", ["No row of the recording has a place."])]
-        return [Section("Map", [], [replace(chart, height_px=MAP_PX)])]
+        return [] if chart is None else [replace(chart, height_px=MAP_PX)]
 
     def _around(self, samples: EvidenceTable) -> list[Plot]:
         if not len(samples):
@@ -200,7 +198,7 @@ class Dossier:
             ("samples", f"{len(self.bundle.table('samples'))} at {number(covered.get('rate_hz'), 'Hz', 0)}, "
              f"{len(manifest['packets'])} packets as they came"),
             ("replayed from", begun),
-            ("replay differs in", differences or "nothing: the accident and all stored positions again, to the bit"),
+            ("replay gave", f"another {differences}" if differences else "the accident and all positions, to the bit"),
             ("calibration", f"version {version}" if version else "none given: the box as it measures"),
             ("mounting", _mounting(instruments.get("mounting"))),
             ("made by", ", ".join(f"{name} {one}" for name, one in manifest["versions"].items())),
@@ -239,13 +237,18 @@ def _crash_plot(motion: CrashMotion, event: EventData, t_ns: int) -> Plot:
         ),
     ]  # fmt: skip
     text = f"In the vehicle's axes, without gravity; time zero of the event data is at {zero_s:.3f} s."
-    return _timed("Acceleration and change of velocity", text, rows, CRASH_S, ())
+    return _timed("Acceleration and change of velocity", text, rows, CRASH_S, (), CRASH_ROW_PX)
 
 
 def _timed(
-    title: str, text: str, rows: Sequence[Row], span_s: tuple[float, float], holes: Sequence[tuple[float, float]]
+    title: str,
+    text: str,
+    rows: Sequence[Row],
+    span_s: tuple[float, float],
+    holes: Sequence[tuple[float, float]],
+    row_px: int = ROW_PX,
 ) -> Plot:
-    plot = time_plot(title, text, rows, TimeAxis(span_s, holes), ROW_PX)
+    plot = time_plot(title, text, rows, TimeAxis(span_s, holes), row_px)
     layout = dict(plot.layout)
     layout["xaxis"] = {**layout["xaxis"], "title": {"text": "time since the impact, s"}}
     # Of its own zoom: half a second around a crash and a minute and a half share no axis.
@@ -267,7 +270,7 @@ def _event_table(event: EventData) -> Table:
         ("8 km/h within 150 ms", "reached" if event.triggered else "not reached"),
         ("complete file", "yes" if event.complete else "no"),
     ]
-    return Table("Event data", [], rows, prose=True)
+    return Table("Event data (49 CFR 563)", [], rows, prose=True)
 
 
 def _accident(row: AccidentRow) -> Accident:

@@ -34,9 +34,9 @@ CRASH_S: Final = (-0.5, 1.5)
 AROUND_S: Final = (-60.0, 30.0)
 GAP_S: Final = 0.25
 """Samples further apart are not joined by a line."""
-MAP_PX: Final = 400
+MAP_PX: Final = 370
 ROW_PX: Final = 96
-CRASH_ROW_PX: Final = 140
+CRASH_ROW_PX: Final = 120
 
 _WORDS: Final = {
     "low_speed": "low speed",
@@ -228,7 +228,7 @@ def _crash_plot(motion: CrashMotion, event: EventData, t_ns: int) -> Plot:
         Row(
             "acceleration, g",
             [line(near, a_b[:, axis], name, colour, gap_s=GAP_S) for axis, (name, colour) in enumerate(colours)]
-            + ([marks(near[clipped], np.abs(a_b[clipped]).max(axis=1), "at full scale", PURPLE, "x-thin-open")]
+            + ([marks(near[clipped], _largest(a_b[clipped]), "at full scale", PURPLE, "x-thin-open")]
                if clipped.any() else []),
         ),
         Row(
@@ -238,6 +238,11 @@ def _crash_plot(motion: CrashMotion, event: EventData, t_ns: int) -> Plot:
     ]  # fmt: skip
     text = f"In the vehicle's axes, without gravity; time zero of the event data is at {zero_s:.3f} s."
     return _timed("Acceleration and change of velocity", text, rows, CRASH_S, (), CRASH_ROW_PX)
+
+
+def _largest(rows: FloatArray) -> FloatArray:
+    """Of each row the value that is the furthest from zero."""
+    return np.asarray(np.take_along_axis(rows, np.abs(rows).argmax(axis=1)[:, None], axis=1)[:, 0])
 
 
 def _timed(

@@ -43,10 +43,10 @@ class BodyMotion:
         return np.hypot(self.v_n[:, 0], self.v_n[:, 1])
 
 
-def rate_b(rpy_rad: FloatArray, rate_hz: float = FINE_HZ) -> FloatArray:
-    """Angular rate (n, 3), rad/s, of a body whose roll, pitch and yaw are (n, 3), ``rate_hz`` times a second."""
+def rate_b(rpy_rad: FloatArray) -> FloatArray:
+    """Angular rate (n, 3), rad/s, of a body whose roll, pitch and yaw are (n, 3) at ``FINE_HZ``."""
     roll, pitch = rpy_rad[:, 0], rpy_rad[:, 1]
-    roll_d, pitch_d, yaw_d = (np.gradient(angle) * rate_hz for angle in rpy_rad.T)
+    roll_d, pitch_d, yaw_d = (np.gradient(angle) * FINE_HZ for angle in rpy_rad.T)
     return np.column_stack(
         [
             roll_d - yaw_d * np.sin(pitch),

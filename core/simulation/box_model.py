@@ -135,9 +135,22 @@ def converted(
     signal: FloatArray, full_scale: float, density: float, rate_hz: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """With white noise of a density (signal/sqrt(Hz)), clipped, (n, 3), and which rows are at full scale, (n,)."""
-    noisy = signal + density * math.sqrt(rate_hz / 2.0) * rng.standard_normal(signal.shape)
-    clipped = np.clip(noisy, -full_scale, full_scale)
-    saturated: FloatArray = (np.abs(noisy) >= full_scale).any(axis=1).astype(np.uint8)  # type: ignore[assignment]
+    clipped, saturated = _converted(
+        signal, density * math.sqrt(rate_hz / 2.0), rng.standard_normal(signal.shape), full_scale
+    )
+    return clipped, saturated
+
+
+@njit(cache=True, nogil=True)
+def _converted(signal: FloatArray, sd: float, noise: FloatArray, full_scale: float) -> tuple[FloatArray, FloatArray]:
+    clipped, saturated = np.empty_like(signal), np.zeros(signal.shape[0])
+    for k in range(signal.shape[0]):
+        for i in range(3):
+            x = signal[k, i] + sd * noise[k, i]
+            if abs(x) >= full_scale:
+                saturated[k] = 1.0
+                x = math.copysign(full_scale, x)
+            clipped[k, i] = x
     return clipped, saturated
 
 
@@ -154,7 +167,7 @@ def spoilt(f: FloatArray, saturated: FloatArray, row: int, full_scale: float, rn
         span = slice(row, row + int(rng.integers(1, max(2, round(0.01 * len(f))))))
         axes = slice(None) if rng.random() < 0.3 else axis
         f[span, axes] = sign * full_scale
-        saturated[span] = 1
+        saturated[span] = 1.0
     elif form == 2:  # one of the higher bits, in single samples
         step = full_scale / 32768.0
         for at in row + np.cumsum(rng.integers(1, 20, int(rng.integers(1, 6)))):

@@ -125,7 +125,7 @@ def road_shake(speed_mps: FloatArray, level_mps2: float, engine_on: bool, rng: n
     """Shaking of road (wheel hop and body bounce) and engine, (n, 3), m/s2; ``level_mps2`` is the sd at 14 m/s."""
     n = speed_mps.size
     bounce, hop = band_noise(n, 2.0, 0.5, rng), band_noise(n, 12.0, 0.5, rng)
-    road = (0.85 * bounce * np.array([0.2, 0.2, 1.0]) + 0.5 * hop * np.array([0.5, 0.5, 1.0])) * (
+    road = (0.85 * bounce * np.array([0.35, 0.35, 1.0]) + 0.5 * hop * np.array([0.5, 0.5, 1.0])) * (
         level_mps2 * np.sqrt(speed_mps / 14.0)
     )[:, None]
     engine = 0.06 * band_noise(n, 27.0, 0.02, rng) if engine_on else 0.0

@@ -104,9 +104,9 @@ def structure(accel_b: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Acceleration with what panels and brackets add on the way to the box: (n, 3).
 
     Two modes a box, 12 to 25 and 25 to 70 Hz (choice: body bending, a bracket under the dashboard), each adding
-    0.2 to 0.9 of what drives it, with a little from one axis to another.
+    0.2 to 0.9 of what drives it, with a fifth or so from one axis to another.
     """
-    crossed = accel_b + 0.1 * rng.standard_normal((1, 3)) * np.roll(accel_b, 1, axis=1)
+    crossed = accel_b + 0.2 * rng.standard_normal((1, 3)) * np.roll(accel_b, 1, axis=1)
     found = crossed.copy()
     for low_hz, high_hz in ((12.0, 25.0), (25.0, 70.0)):
         share = rng.uniform(0.2, 0.9, (1, 3))

@@ -158,7 +158,7 @@ def box_knocked(rng: np.random.Generator, speed_mps: float = 0.0) -> Disturbance
 
 
 def box_dropped(rng: np.random.Generator, speed_mps: float = 0.0) -> Disturbance:
-    """The box comes off: a fall of 0.1 to 0.4 s, blows of 20 to 150 g, then it lies elsewhere."""
+    """The box comes off: a fall of 0.1 to 0.4 s, blows of 20 to 300 g and 3 to 12 ms, then it lies elsewhere."""
     hard = hardness(rng)
     fall_s = between(0.1, 0.4, hard)
     t = times_s(3.0)
@@ -172,7 +172,7 @@ def box_dropped(rng: np.random.Generator, speed_mps: float = 0.0) -> Disturbance
     accel = G * down_b * falling[:, None]
     at_s, left_mps = 1.0 + fall_s, G * fall_s
     while left_mps > 0.15:  # bounces: each blow stops it and throws it back by a third
-        length_s, bounce = rng.uniform(0.002, 0.008), rng.uniform(0.1, 0.4)
+        length_s, bounce = rng.uniform(0.003, 0.012), rng.uniform(0.1, 0.4)
         blow = (t >= at_s) & (t < at_s + length_s)
         share_of_blow = np.sin(np.pi * (t[blow] - at_s) / length_s)
         scale = left_mps * (1 + bounce) / max(share_of_blow.sum() / FINE_HZ, 1e-4)

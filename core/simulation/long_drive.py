@@ -17,7 +17,6 @@ from scipy.linalg import expm
 from core.accident.events import VehicleMotion
 from core.measurements import FloatArray
 from core.rotation import matrix_from_rpy
-from core.simulation.body_motion import rate_b
 from core.simulation.box_model import Box, G, converted, estimated_down, sample_times_ns, sampled, some_box, spoilt
 from core.simulation.corpus import IGNITION_KNOWN, START_T_NS
 from core.simulation.disturbances import Disturbance, NonAccident
@@ -286,9 +285,12 @@ def _body(
     pitch = math.radians(rng.uniform(1.0, 3.0)) / G * _smooth(along)
     grade = gauss_markov(n, math.radians(1.5), 30.0, 1.0 / RATE_HZ, rng)
     yaw = np.cumsum(across / np.maximum(speed, 2.0)) / RATE_HZ
-    rpy = np.column_stack([roll + road[:, 3], pitch + _smooth(grade) + road[:, 4], yaw])
-    accel = np.column_stack([along + road[:, 0], across + road[:, 1], road[:, 2]])
-    accel += 0.06 * rng.standard_normal((n, 3))  # engine and the rest of what shakes a box
+    rpy = np.column_stack([roll, pitch + _smooth(grade), yaw])
+    rpy[:, :2] += road[:, 3:]
+    accel = 0.06 * rng.standard_normal((n, 3))  # engine and the rest of what shakes a box
+    accel += road[:, :3]
+    accel[:, 0] += along
+    accel[:, 1] += across
     for row, disturbance in script.disturbed:
         shaken = sampled(disturbance.accel_b, box)
         stride = round(1000.0 / RATE_HZ)
@@ -298,11 +300,33 @@ def _body(
         rpy[row:end] += tilt[: end - row]
         if tilt[-1].any():  # a box that was moved stays so
             rpy[end:] += tilt[-1]
-    C_m_from_b = matrix_from_rpy(*box.mounting_rpy_rad).T
-    sr, cr, sp, cp = np.sin(rpy[:, 0]), np.cos(rpy[:, 0]), np.sin(rpy[:, 1]), np.cos(rpy[:, 1])
-    down = np.column_stack([-sp, sr * cp, cr * cp])
-    f_b = accel - G * down
-    return f_b @ C_m_from_b.T, rate_b(rpy, RATE_HZ) @ C_m_from_b.T, down @ C_m_from_b.T
+    return _felt(accel, rpy, np.ascontiguousarray(matrix_from_rpy(*box.mounting_rpy_rad).T))
+
+
+@njit(cache=True, nogil=True)
+def _felt(accel: FloatArray, rpy: FloatArray, turn: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Specific force, rate and down in the box's axes; the accelerations are along the body's, as it tilts little."""
+    n = rpy.shape[0]
+    f, omega, down = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+    d, w, a = np.empty(3), np.empty(3), np.empty(3)
+    for k in range(n):
+        before, after = max(k - 1, 0), min(k + 1, n - 1)
+        per_s = RATE_HZ / (after - before)
+        sr, cr, sp, cp = math.sin(rpy[k, 0]), math.cos(rpy[k, 0]), math.sin(rpy[k, 1]), math.cos(rpy[k, 1])
+        roll_d = per_s * (rpy[after, 0] - rpy[before, 0])
+        pitch_d = per_s * (rpy[after, 1] - rpy[before, 1])
+        yaw_d = per_s * (rpy[after, 2] - rpy[before, 2])
+        d[0], d[1], d[2] = -sp, sr * cp, cr * cp
+        w[0] = roll_d - yaw_d * sp
+        w[1] = pitch_d * cr + yaw_d * sr * cp
+        w[2] = -pitch_d * sr + yaw_d * cr * cp
+        for i in range(3):
+            a[i] = accel[k, i] - G * d[i]
+        for i in range(3):
+            f[k, i] = turn[i, 0] * a[0] + turn[i, 1] * a[1] + turn[i, 2] * a[2]
+            omega[k, i] = turn[i, 0] * w[0] + turn[i, 1] * w[1] + turn[i, 2] * w[2]
+            down[k, i] = turn[i, 0] * d[0] + turn[i, 1] * d[1] + turn[i, 2] * d[2]
+    return f, omega, down
 
 
 def _smooth(signal: FloatArray) -> FloatArray:
@@ -376,8 +400,9 @@ def _road(
             heave += 0.5 * x[side, 1]
         roll = (heights[0] - heights[1]) / _TRACK_M
         pitch = keep * pitch + 0.3 * heave / _WHEELBASE_M / RATE_HZ
-        out[k, 0] = 0.5 * hop  # choice: suspensions give half of a wheel's force lengthwise
-        out[k, 1] = 0.3 * tilt / _TRACK_M + 0.15 * hop
+        # Choices, by which the spectra along and across come up to those of kth_stockholm and of phones on windshields.
+        out[k, 0] = 0.35 * lift + 0.5 * hop
+        out[k, 1] = 0.8 * tilt / _TRACK_M + 0.2 * hop
         out[k, 2] = -(lift + 0.3 * hop)
         out[k, 3], out[k, 4] = roll, pitch
     return out

@@ -58,6 +58,7 @@ def _over_all(drives: Sequence[dict[str, Any]]) -> dict[str, Any]:
         for key, inside in (("open", False), ("outage", True))
     }
     return accident_figures(accidents) | {
+        "km": sum(drive["km"] for drive in drives),
         "missed": sum(not one["found"] for one in accidents),
         "false_alarms": sum(drive["false_alarms"] for drive in drives),
         "withdrawn": sum(drive["withdrawn"] for drive in drives),
@@ -97,6 +98,7 @@ def _judged(drive: Drive, detector: str) -> dict[str, Any]:
         quiet.append(quiet_record(NonAccident(one["kind"]), begin, end, others, candidates))
     wrong = [story for story in told if story.first.t_ns not in mine]
     return {
+        "km": _distance_km(drive),
         "accidents": len(records),
         "found": sum(one["found"] for one in records),
         "false_alarms": sum(story.stands for story in wrong),
@@ -106,6 +108,12 @@ def _judged(drive: Drive, detector: str) -> dict[str, Any]:
         "records": records,
         "quiet_records": quiet,
     }
+
+
+def _distance_km(drive: Drive) -> float:
+    assert drive.reference is not None
+    v_n, t_ns = drive.reference.v_n_mps, drive.reference.t_ns
+    return float(np.sum(np.hypot(v_n[1:, 0], v_n[1:, 1]) * np.diff(t_ns))) * 1e-12
 
 
 def suppressed(fused: Fused) -> list[Any]:

@@ -25,7 +25,7 @@ def tables(found: Mapping[str, Any]) -> str:
 
 def _seed1(found: Mapping[str, Any]) -> Iterable[str]:
     drives = found[OURS]["drives"]
-    yield f"seed 1's scenario, {len(drives)} drives of 3.5 h or as asked, through the whole session:"
+    yield f"seed 1's scenario, {len(drives)} drives, {found[OURS]['km']:.0f} km, through the whole session:"
     rows = [("drive", *(f"{name}: {what}" for name in DETECTORS for what in ("found", "false", "withdrawn")))]
     for at, drive in enumerate(drives):
         cells = []
@@ -121,7 +121,7 @@ def _long(found: Mapping[str, Any]) -> Iterable[str]:
         f"{found['km']:.0f} km in {found['hours']:.0f} h of driving with {found['non_accidents']} non-accidents,"
         f" {found['wall_s']:.0f} s on this machine; false alarms per 100 000 km with their exact 95 % interval:"
     )
-    rows = [("detector", "told", "per 100 000 km", "interval", "withdrawn", "per 100 000 km")]
+    rows: list[Sequence[str]] = [("detector", "told", "per 100 000 km", "interval", "withdrawn", "per 100 000 km")]
     for name in DETECTORS:
         told, back = found[name]["false_alarms"], found[name]["withdrawn"]
         interval = f"{told['low']:.2f} to {told['high']:.2f}"
@@ -144,7 +144,7 @@ def _long(found: Mapping[str, Any]) -> Iterable[str]:
 
 def _errors(found: Mapping[str, Any]) -> Iterable[str]:
     yield "errors of attitude and speed, the real filter's on whole drives and those of the fast ones:"
-    rows = [("", "tilt RMS, deg", "99 %, deg", "lasts, s", "speed RMS, m/s", "lasts, s")]
+    rows: list[Sequence[str]] = [("", "tilt RMS, deg", "99 %, deg", "lasts, s", "speed RMS, m/s", "lasts, s")]
     for name, one in found.items():
         cells = (f"{one[key]:.3g}" for key in ("tilt_rms_deg", "tilt_p99_deg", "tilt_s", "speed_rms_mps", "speed_s"))
         rows.append((name, *cells))
@@ -153,7 +153,9 @@ def _errors(found: Mapping[str, Any]) -> Iterable[str]:
 
 def _recordings(found: Mapping[str, Any]) -> Iterable[str]:
     yield "NHTSA barrier test 10146 at the end of a simulated drive (64.6 to 66.2 km/h):"
-    rows = [("sensor", "range, g", "rate, Hz", "told, km/h", "95 % interval", "covers", "from, deg", "after, s")]
+    rows: list[Sequence[str]] = [
+        ("sensor", "range, g", "rate, Hz", "told, km/h", "95 % interval", "covers", "from, deg", "after, s")
+    ]
     for one in found["barrier"]:
         if not one["found"]:
             cells: Sequence[str] = ("not found", "", "", "", "")

@@ -24,7 +24,7 @@ from core.held_axes import HeldAxes
 from core.measurements import Measurements
 from core.navigation import state
 from core.navigation.aids import Aids
-from core.navigation.filter import FilterConfig, NavigationFilter
+from core.navigation.filter import FilterConfig, FilterOutput, NavigationFilter
 from core.navigation.kernel import CLIPPED, HELD
 from core.navigation.recalibration import biases
 from core.navigation.track import Track
@@ -101,6 +101,16 @@ class SessionConfig:
     trips: TripThresholds = field(default_factory=TripThresholds)
 
 
+class Tape(Protocol):
+    """Takes down what a session works with, for evidence; it changes nothing."""
+
+    def measured(self, measurements: Measurements) -> None:
+        """Valid measurements in sensor axes, by the session's time."""
+
+    def fused(self, samples: BodySamples, output: FilterOutput) -> None:
+        """Calibrated samples of these, part by part, with what the filter made of them."""
+
+
 class Detector(Protocol):
     """What finds impacts in calibrated samples."""
 
@@ -122,6 +132,7 @@ class Session:
 
     def __init__(self, config: SessionConfig) -> None:
         self.config = config
+        self.tape: Tape | None = None
         self._clock = BoxClock()
         given = BoxCalibration(
             accelerometer=config.accelerometer, gyroscope=config.gyroscope, magnetometer=config.magnetometer
@@ -165,6 +176,8 @@ class Session:
             self._filter.warm(self._warming.rate_kps)
         before = self._filter.counts
         valid = with_valid_samples(measurements, self._filter.t_ns, counts)
+        if self.tape is not None:
+            self.tape.measured(valid)
         tracks: list[Track] = []
         impacts: list[Impact] = []
         candidates: list[Candidate] = []
@@ -174,6 +187,8 @@ class Session:
             updates += self._calibrate(same)
             for part, aids in self._in_body_axes(self._preparation.step(same), self._aids(same), counts):
                 fused = self._filter.step(part.t_ns, part.f_b, part.omega_b, _unsound(part), aids)
+                if self.tape is not None:
+                    self.tape.fused(part, fused)
                 # A constant, so that packets do not matter: gravity differs from it by 0.03 m/s2 at most, and upwards.
                 found = self._detector.step(
                     VehicleMotion(
@@ -284,6 +299,11 @@ class Session:
                 name = "mounting.contradicted" if finder.contradicted else "mounting.found"
                 counts[name] = counts.get(name, 0) + 1
             yield part, aids_of_part
+
+    @property
+    def calibration(self) -> BoxCalibration:
+        """The calibration in force, with its biases as followed."""
+        return self._in_force.calibration
 
     @property
     def clock_offset_ns(self) -> int:

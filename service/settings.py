@@ -104,6 +104,17 @@ class Settings(BaseSettings):
     retention_events_days: int = Field(
         default=90, ge=0, description="Days that events and their deliveries can be read again; 0 is for ever."
     )
+    retention_candidates_days: int = Field(
+        default=90,
+        ge=0,
+        description="Days that shocks which were judged to be no accident can be looked at; 0 is for ever.",
+    )
+    retention_evidence_days: int = Field(
+        default=1095,
+        ge=0,
+        description="Days that the evidence of an accident is kept, whatever becomes of packets and track; 0 is for "
+        "ever. It goes with its vehicle.",
+    )
 
     retention_recordings_days: int = Field(
         default=30,

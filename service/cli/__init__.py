@@ -15,6 +15,7 @@ COMMANDS: Final = {
     "fuse": "post-process a drive folder into a trajectory",
     "calibrate": "calibrate a box's sensors from a recording of still positions",
     "noise": "measure a box's noise from a recording at rest: Allan deviation and fits",
+    "evidence": "verify what was kept of an accident",
     "detect": "find accidents in a drive folder",
     "replay": "play a drive folder into a running service as a black box would",
     "bench": "measure throughput, latency and the filter's speed on this machine",

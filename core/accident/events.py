@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 from core.measurements import FloatArray, TimeArray
 
@@ -155,3 +156,10 @@ class Candidate:
     duration_s: float
     speed_before_mps: float
     paper_agrees: bool
+
+
+class Findings(NamedTuple):
+    """What some samples decided: accidents told or told again, and what was judged to be none."""
+
+    impacts: list[Impact]
+    candidates: list[Candidate]

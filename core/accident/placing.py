@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Final
 
 import numpy as np
 
 from core.accident.events import Candidate, Impact
 from core.earth import radii_m
+from core.measurements import FloatArray
 from core.navigation.alignment import next_second_ns
 from core.navigation.track import TRACK, Mode, Track
 
@@ -33,6 +34,16 @@ class Place:
     cov_ne_m2: float
     heading_rad: float
     mode: Mode
+
+    def as_array(self) -> FloatArray:
+        """Its fields in their order, (8,)."""
+        return np.array(astuple(self), dtype=np.float64)
+
+    @classmethod
+    def from_array(cls, values: FloatArray) -> Place:
+        """What ``as_array`` gave."""
+        lat_rad, lon_rad, alt_m, sd_n_m, sd_e_m, cov_ne_m2, heading_rad, mode = values.tolist()
+        return cls(lat_rad, lon_rad, alt_m, sd_n_m, sd_e_m, cov_ne_m2, heading_rad, Mode(int(mode)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,7 +78,12 @@ class Story:
 def listen(detector: str, motions: Iterable[VehicleMotion]) -> tuple[list[Story], list[Candidate]]:
     """What a detector tells of samples that follow one another."""
     listening = DETECTORS[detector]()
-    return stories(one for motion in motions for one in listening.step(motion))
+    found = [listening.step(motion) for motion in motions]
+    events: list[Impact | Candidate] = []
+    for each in found:
+        events += each.impacts
+        events += each.candidates
+    return stories(events)
 
 
 def stories(events: Iterable[Impact | Candidate]) -> tuple[list[Story], list[Candidate]]:

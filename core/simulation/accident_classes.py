@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
@@ -67,38 +68,34 @@ def _box(rng: np.random.Generator) -> tuple[float, float, float]:
     return float(rng.uniform(-0.3, 1.0)), float(rng.uniform(-0.4, 0.4)), float(rng.uniform(-0.4, 0.1))
 
 
-def _moving(name: str, rng: np.random.Generator, pdof_deg: float, delta_v: float, **changes: object) -> Collision:
-    """A car on its way is hit; frontal ones lose at most some more than their speed."""
-    against = max(0.0, math.cos(math.radians(pdof_deg))) * delta_v
-    fields: dict[str, object] = {
-        "name": name,
-        "blows": (_blow(delta_v, pdof_deg, rng),),
-        "speed_mps": max(rng.uniform(0.85, 1.0) * against, 1.0) + rng.uniform(0.0, 8.0),
-        "braking_mps2": rng.uniform(3.0, 8.5),
-        "braking_s": rng.uniform(0.4, 1.5) * (rng.random() < 0.45),
-        "decel_mps2": rng.uniform(2.0, 6.5),
-        "ringing_share": rng.uniform(0.1, 0.5),
-        "box_m": _box(rng),
-    }
-    fields |= changes
-    speed, braking, braking_s = (float(fields[name]) for name in ("speed_mps", "braking_mps2", "braking_s"))  # type: ignore[arg-type]
-    fields["speed_mps"] = speed + braking * braking_s  # what it loses before the blow
-    return Collision(**fields)  # type: ignore[arg-type]
+def _hit(name: str, rng: np.random.Generator, pdof_deg: float, delta_v_mps: float) -> Collision:
+    """A car on its way is hit once; frontal ones lose at most some more than their speed. Half of them brake before."""
+    against = max(0.0, math.cos(math.radians(pdof_deg))) * delta_v_mps
+    return Collision(
+        name=name,
+        blows=(_blow(delta_v_mps, pdof_deg, rng),),
+        speed_mps=max(rng.uniform(0.85, 1.0) * against, 1.0) + rng.uniform(0.0, 8.0),
+        braking_mps2=rng.uniform(3.0, 8.5),
+        braking_s=rng.uniform(0.4, 1.5) * (rng.random() < 0.45),
+        decel_mps2=rng.uniform(2.0, 6.5),
+        ringing_share=rng.uniform(0.1, 0.5),
+        box_m=_box(rng),
+    )
 
 
 def frontal(rng: np.random.Generator) -> Collision:
     """Into what is ahead, within 30 degrees."""
-    return _moving("frontal", rng, rng.uniform(-30.0, 30.0), _delta_v(rng))
+    return _hit("frontal", rng, rng.uniform(-30.0, 30.0), _delta_v(rng))
 
 
 def rear(rng: np.random.Generator) -> Collision:
     """Struck from behind while moving."""
-    return _moving("rear", rng, rng.uniform(150.0, 210.0), _delta_v(rng, high=12.0))
+    return _hit("rear", rng, rng.uniform(150.0, 210.0), _delta_v(rng, high=12.0))
 
 
 def side(rng: np.random.Generator) -> Collision:
     """Struck on a side in a crossing."""
-    found = _moving("side", rng, rng.uniform(50.0, 130.0), _delta_v(rng, high=14.0))
+    found = _hit("side", rng, rng.uniform(50.0, 130.0), _delta_v(rng, high=14.0))
     return found if rng.random() < 0.5 else mirrored(found)
 
 
@@ -106,7 +103,7 @@ def oblique(rng: np.random.Generator) -> Collision:
     """A corner is hit: between front and side or side and rear, and the car turns."""
     delta_v, pdof = _delta_v(rng, high=15.0), rng.choice([rng.uniform(30.0, 60.0), rng.uniform(120.0, 150.0)])
     blow = _blow(delta_v, pdof, rng, yaw_deg=rng.uniform(-6.0, 6.0) * delta_v)
-    found = _moving("oblique", rng, pdof, delta_v, blows=(blow,))
+    found = replace(_hit("oblique", rng, pdof, delta_v), blows=(blow,))
     return found if rng.random() < 0.5 else mirrored(found)
 
 
@@ -114,7 +111,7 @@ def sideswipe(rng: np.random.Generator) -> Collision:
     """Along another car's side or a guard rail: a long, soft pulse, half forward and half across."""
     delta_v, pdof = _delta_v(rng, 2.0, 6.0), rng.uniform(25.0, 75.0)
     blow = _blow(delta_v, pdof, rng, duration_s=rng.uniform(0.12, 0.28), yaw_deg=rng.uniform(-12.0, 4.0))
-    found = _moving("sideswipe", rng, pdof, delta_v, blows=(blow,), speed_mps=delta_v + rng.uniform(2.0, 15.0))
+    found = replace(_hit("sideswipe", rng, pdof, delta_v), blows=(blow,), speed_mps=delta_v + rng.uniform(2.0, 15.0))
     return found if rng.random() < 0.5 else mirrored(found)
 
 
@@ -123,24 +120,21 @@ def low_speed(rng: np.random.Generator) -> Collision:
     delta_v = _delta_v(rng, high=0.95 * LOW_SPEED_MPS)
     pdof = rng.choice([rng.uniform(-40.0, 40.0), rng.uniform(0.0, 360.0)])
     speed = float(np.clip(rng.normal(3.5, 1.2), 0.8, 7.0))
-    return _moving("low_speed", rng, pdof, delta_v, speed_mps=speed, braking_s=0.0)
+    return replace(_hit("low_speed", rng, pdof, delta_v), speed_mps=speed, braking_s=0.0)
 
 
 def struck_standing(rng: np.random.Generator) -> Collision:
     """Standing with the engine on, struck from anywhere, mostly from behind; the brakes may be on."""
     delta_v = _delta_v(rng, high=10.0)
     pdof = rng.uniform(150.0, 210.0) if rng.random() < 0.6 else rng.uniform(0.0, 360.0)
-    return _moving("struck_standing", rng, pdof, delta_v, speed_mps=0.0, braking_s=0.0)
+    return replace(_hit("struck_standing", rng, pdof, delta_v), speed_mps=0.0, braking_s=0.0)
 
 
 def parked_hit(rng: np.random.Generator) -> Collision:
     """Parked, ignition off, struck from anywhere."""
     delta_v = _delta_v(rng, high=8.0)
-    return _moving(
-        "parked_hit",
-        rng,
-        rng.uniform(0.0, 360.0),
-        delta_v,
+    return replace(
+        _hit("parked_hit", rng, rng.uniform(0.0, 360.0), delta_v),
         speed_mps=0.0,
         braking_s=0.0,
         ignition=False,
@@ -153,7 +147,7 @@ def hit_and_run(rng: np.random.Generator) -> Collision:
     delta_v = _delta_v(rng, high=5.0)
     pdof = rng.uniform(-60.0, 60.0)
     speed = delta_v + rng.uniform(3.0, 10.0)
-    return _moving("hit_and_run", rng, pdof, delta_v, speed_mps=speed, after=After.DRIVE_ON)
+    return replace(_hit("hit_and_run", rng, pdof, delta_v), speed_mps=speed, after=After.DRIVE_ON)
 
 
 def multi_impact(rng: np.random.Generator) -> Collision:
@@ -165,14 +159,14 @@ def multi_impact(rng: np.random.Generator) -> Collision:
         delta_v = _delta_v(rng, 2.0, 10.0)
         blows.append(_blow(delta_v, rng.uniform(0.0, 360.0), rng, after_s=after))
     speed = first + rng.uniform(4.0, 12.0)
-    return _moving("multi_impact", rng, blows[0].pdof_deg, first, blows=tuple(blows), speed_mps=speed)
+    return replace(_hit("multi_impact", rng, blows[0].pdof_deg, first), blows=tuple(blows), speed_mps=speed)
 
 
 def spin(rng: np.random.Generator) -> Collision:
     """Hit at a corner so that it spins by 60 to 200 degrees, at 130 to 240 deg/s at first."""
     delta_v, pdof = _delta_v(rng, 3.0, 12.0), rng.uniform(100.0, 170.0)
     blow = _blow(delta_v, pdof, rng, yaw_deg=rng.uniform(60.0, 200.0))
-    found = _moving("spin", rng, pdof, delta_v, blows=(blow,), speed_mps=rng.uniform(8.0, 20.0))
+    found = replace(_hit("spin", rng, pdof, delta_v), blows=(blow,), speed_mps=rng.uniform(8.0, 20.0))
     return found if rng.random() < 0.5 else mirrored(found)
 
 
@@ -184,7 +178,8 @@ def off_road(rng: np.random.Generator) -> Collision:
         after = rng.uniform(0.8, 4.0)
         blows.append(_blow(_delta_v(rng, 3.0, 12.0), rng.uniform(-60.0, 60.0), rng, after_s=after))
     speed = first + rng.uniform(8.0, 15.0)
-    return _moving("off_road", rng, blows[0].pdof_deg, first, blows=tuple(blows), speed_mps=speed, after=After.OFF_ROAD)
+    hit = _hit("off_road", rng, blows[0].pdof_deg, first)
+    return replace(hit, blows=tuple(blows), speed_mps=speed, after=After.OFF_ROAD)
 
 
 def rollover(rng: np.random.Generator) -> Collision:
@@ -194,11 +189,8 @@ def rollover(rng: np.random.Generator) -> Collision:
     """
     delta_v, quarters = _delta_v(rng, 2.5, 6.0), int(rng.integers(1, 5))
     blow = _blow(delta_v, rng.uniform(70.0, 110.0), rng, duration_s=rng.uniform(0.1, 0.35), yaw_deg=0.0)
-    found = _moving(
-        "rollover",
-        rng,
-        blow.pdof_deg,
-        delta_v,
+    found = replace(
+        _hit("rollover", rng, blow.pdof_deg, delta_v),
         blows=(blow,),
         speed_mps=rng.uniform(8.0, 22.0),
         roll_deg=90.0 * quarters,

@@ -58,7 +58,7 @@ class Collision:
     blows : tuple of Blow
         The first begins the accident.
     speed_mps : float
-        Before it, and before ``braking_mps2`` for ``braking_s``.
+        As it begins; before, the car brakes by ``braking_mps2`` for ``braking_s``.
     roll_deg : float
         The car tips over by so much (90, 180, 270 …; negative to the left), and lies.
     decel_mps2 : float
@@ -123,7 +123,7 @@ def collide(
     after_mps2 = 0.8 if collision.after is After.DRIVE_ON else collision.decel_mps2
     standing = collision.speed_mps < 0.05
     accel, v_n, yaw, tilt = _slide(
-        collision.speed_mps,
+        collision.speed_mps + collision.braking_mps2 * collision.braking_s,
         pushes,
         turns,
         blow_rows,

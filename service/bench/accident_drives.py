@@ -29,7 +29,7 @@ from service.bench.accident_scoring import (
 )
 from service.bench.simulated_outages import Tell
 from service.recordings.drive_folder import Drive
-from service.recordings.fusing import Fused, fuse, fuse_config, vehicle_config
+from service.recordings.fusing import fuse, fuse_config, vehicle_config
 from service.recordings.simulated import drive_of
 
 SEEDS: Final = (1, 2, 3)
@@ -75,7 +75,8 @@ def _judged(drive: Drive, detector: str) -> dict[str, Any]:
     """What a session with this detector tells of a drive with truth."""
     config = replace(fuse_config(vehicle_config(drive), every_s=0.1), detector=detector)  # type: ignore[arg-type]
     fused = fuse(drive, config)
-    told, candidates = stories([*(one.impact for one in fused.accidents), *suppressed(fused)])
+    told = stories(one.impact for one in fused.told)
+    candidates = [one.candidate for one in fused.suppressed]
     truth = drive.truth or {}
     records: list[dict[str, Any]] = []
     mine: set[int] = set()
@@ -114,11 +115,6 @@ def _distance_km(drive: Drive) -> float:
     assert drive.reference is not None
     v_n, t_ns = drive.reference.v_n_mps, drive.reference.t_ns
     return float(np.sum(np.hypot(v_n[1:, 0], v_n[1:, 1]) * np.diff(t_ns))) * 1e-12
-
-
-def suppressed(fused: Fused) -> list[Any]:
-    """The candidates that the session judged to be no accident."""
-    return [one.candidate for one in getattr(fused, "suppressed", ())]
 
 
 def _truth_of(one: dict[str, Any]) -> Truth:

@@ -24,7 +24,6 @@ from core.simulation.route import Route, RouteBuilder
 from core.simulation.scenarios import Scenario, perform
 from core.simulation.sensors import MICRO_IBB
 from core.simulation.shapes import Shape
-from service.bench.accident_drives import suppressed
 from service.bench.accident_scoring import DETECTORS, OURS, Story, listen, stories
 from service.bench.simulated_outages import Tell
 from service.recordings.drive_folder import is_drive_folder, read_drive
@@ -85,7 +84,7 @@ def barrier(data: Path, sensor: str, full_scale_g: float, rate_hz: float, detect
     drive = drive_of(perform("barrier", scenario, 1, scenario.duration_s, rate_hz))
     config = replace(fuse_config(vehicle_config(drive), every_s=0.1), detector=detector)  # type: ignore[arg-type]
     fused = fuse(drive, config)
-    told, _ = stories([*(one.impact for one in fused.accidents), *suppressed(fused)])
+    told = stories(one.impact for one in fused.told)
     truth = (drive.truth or {})["accidents"][0]
     contact_ns = drive.start_t_ns + round(truth["t_s"] * 1e9)
     mine = [one for one in told if one.stands and abs(one.first.t_ns - contact_ns) < 1_000_000_000]
@@ -182,8 +181,7 @@ def _real(drives: Path) -> dict[str, Any]:
         config = fuse_config(vehicle_config(drive), every_s=0.1)
         for name in DETECTORS:
             fused = fuse(drive, replace(config, detector=name))  # type: ignore[arg-type]
-            told, _ = stories(one.impact for one in fused.accidents)
-            _count(found[name], told)
+            _count(found[name], stories(one.impact for one in fused.told))
     return found
 
 

@@ -79,23 +79,15 @@ def listen(detector: str, motions: Iterable[VehicleMotion]) -> tuple[list[Story]
     """What a detector tells of samples that follow one another."""
     listening = DETECTORS[detector]()
     found = [listening.step(motion) for motion in motions]
-    events: list[Impact | Candidate] = []
-    for each in found:
-        events += each.impacts
-        events += each.candidates
-    return stories(events)
+    return stories(one for each in found for one in each.impacts), [one for each in found for one in each.candidates]
 
 
-def stories(events: Iterable[Impact | Candidate]) -> tuple[list[Story], list[Candidate]]:
-    """Impacts by the accident that they belong to, and what was judged to be none."""
+def stories(impacts: Iterable[Impact]) -> list[Story]:
+    """Impacts by the accident that they belong to."""
     told: dict[int, list[Impact]] = {}
-    candidates: list[Candidate] = []
-    for one in events:
-        if isinstance(one, Candidate):
-            candidates.append(one)
-        else:
-            told.setdefault(one.t_ns, []).append(one)
-    return [Story(tuple(revisions)) for revisions in told.values()], candidates
+    for one in impacts:
+        told.setdefault(one.t_ns, []).append(one)
+    return [Story(tuple(revisions)) for revisions in told.values()]
 
 
 def accident_record(

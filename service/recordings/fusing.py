@@ -63,8 +63,8 @@ class Outage:
 class Fused:
     """What a session made of a drive: track at the samples' rate, accidents, counts, the mounting, and the time.
 
-    ``accidents`` are those that were not retracted, as they were told last. ``solution`` and ``records`` where they
-    were asked for.
+    ``accidents`` are those that were not retracted, as they were told last; ``told`` is each as often as it was told.
+    ``solution`` and ``records`` where they were asked for.
     """
 
     track: Track
@@ -76,6 +76,7 @@ class Fused:
     solution: Solution | None = None
     records: AidRecords | None = None
     suppressed: tuple[Suppressed, ...] = ()
+    told: tuple[Accident, ...] = ()
 
 
 def vehicle_config(drive: Drive, noise: SensorNoise | None = None) -> VehicleConfig:
@@ -135,7 +136,7 @@ def fuse(
     recorder = Recorder() if keep or smooth else None
     session.filter.recorder = recorder
     tracks: list[Track] = []
-    accidents: dict[int, Accident] = {}
+    told: list[Accident] = []
     suppressed: list[Suppressed] = []
     counts: dict[str, int] = {}
     spent_s = 0.0
@@ -144,7 +145,7 @@ def fuse(
         outputs = session.step(part)
         spent_s += time.perf_counter() - begin
         tracks.append(outputs.track)
-        accidents |= {one.impact.t_ns: one for one in outputs.accidents}
+        told += outputs.accidents
         suppressed += outputs.suppressed
         for name, count in outputs.counts.items():
             counts[name] = counts.get(name, 0) + count
@@ -157,7 +158,8 @@ def fuse(
         records = recorder.aid_records()
         if smooth:
             track = solution.track
-    standing = tuple(one for one in accidents.values() if one.impact.status is not Status.RETRACTED)
+    last = {one.impact.t_ns: one for one in told}
+    standing = tuple(one for one in last.values() if one.impact.status is not Status.RETRACTED)
     return Fused(
         track,
         standing,
@@ -168,6 +170,7 @@ def fuse(
         solution=solution,
         records=records,
         suppressed=tuple(suppressed),
+        told=tuple(told),
     )
 
 

@@ -16,7 +16,8 @@ from core.simulation.collisions import After, Blow, Collision, collide, mirrored
 from core.simulation.corpus import LEAD_S, accident_case, disturbed, quiet_case
 from core.simulation.disturbances import GRID_M, NonAccident, rough_road
 from core.simulation.handling import SOURCES
-from core.simulation.long_drive import Density, drive_piece
+from core.simulation.long_drive import drive_piece
+from core.simulation.long_script import Density
 from core.simulation.pulses import CRASH_SHAPES, recorded_pulse, ringing, shaped_pulse
 from core.simulation.ride import FINE_HZ, Car, ride, tracked
 from core.simulation.shapes import Shape

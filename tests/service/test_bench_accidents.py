@@ -83,7 +83,7 @@ def truth(delta_v: float = 4.2, **changes) -> Truth:
 
 
 def test_an_accident_told_in_steps_is_one_story_judged_by_its_last_step_and_timed_by_its_first():
-    told, _ = stories([impact(), impact(revision=1, delta_v_mps=4.1, decided_t_ns=T_NS + 600_000_000)])
+    told = stories([impact(), impact(revision=1, delta_v_mps=4.1, decided_t_ns=T_NS + 600_000_000)])
     record = accident_record(truth(), T_NS + 10_000_000, False, told, [])
     assert record["found"]
     assert record["delay_s"] == pytest.approx(0.09)
@@ -97,14 +97,14 @@ def test_an_accident_told_in_steps_is_one_story_judged_by_its_last_step_and_time
 
 
 def test_an_accident_that_was_retracted_was_not_found():
-    told, _ = stories([impact(), impact(revision=1, status=Status.RETRACTED)])
+    told = stories([impact(), impact(revision=1, status=Status.RETRACTED)])
     record = accident_record(truth(), T_NS, False, told, [])
     assert not record["found"]
     assert record["withdrawn"]
 
 
 def test_what_is_told_long_before_an_accident_is_not_it():
-    told, _ = stories([impact(T_NS - 4_000_000_000)])
+    told = stories([impact(T_NS - 4_000_000_000)])
     record = accident_record(truth(), T_NS, False, told, [])
     assert not record["found"]
     assert record["elsewhere"] == 1
@@ -113,7 +113,7 @@ def test_what_is_told_long_before_an_accident_is_not_it():
 
 def test_recall_is_told_by_the_bands_that_are_asked_for():
     records = [
-        accident_record(truth(delta_v), T_NS, False, stories([impact()])[0] if found else [], [])
+        accident_record(truth(delta_v), T_NS, False, stories([impact()]) if found else [], [])
         for delta_v, found in ((1.6, False), (2.0, True), (2.3, True), (6.0, False), (9.0, True))
     ]
     recall = {name: (one["count"], one["share"]) for name, one in accident_figures(records)["recall"].items()}
@@ -159,9 +159,9 @@ def test_a_non_accident_is_named_by_its_likeliest_candidate_or_cried_wolf_over()
     far = candidate(NoAccident.FERRY, T_NS + 60_000_000_000)
     named = quiet_record(NonAccident.POTHOLE, begin, end, [], [*near, far])
     assert (named["named"], named["right"], named["false_alarms"]) == ("pothole", True, 0)
-    alarm = quiet_record(NonAccident.KERB, begin, end, stories([impact()])[0], [])
+    alarm = quiet_record(NonAccident.KERB, begin, end, stories([impact()]), [])
     silent = quiet_record(NonAccident.KERB, begin, end, [], [])
-    back, _ = stories([impact(), impact(revision=1, status=Status.RETRACTED)])
+    back = stories([impact(), impact(revision=1, status=Status.RETRACTED)])
     withdrawn = quiet_record(NonAccident.KERB, begin, end, back, [])
     figures = quiet_figures([named, alarm, silent, withdrawn])
     assert figures["false_alarms"] == 1

@@ -40,7 +40,7 @@ class EarthAxesTuning(Tunables):
         unit="1/s",
         low=0.0,
         high=10.0,
-        source="measured at stops of labelled phone trips: shown force decays in 1 s",
+        source="measured at stops of phone trips: what is shown decays in 1 s",
     )
     integral_ps2: float = tunable(
         0.1, unit="1/s2", low=0.0, high=10.0, source="measured there: an undershoot of a tenth that lasts for 10 s"
@@ -59,9 +59,7 @@ class EarthAxesTuning(Tunables):
     memory_s: float = tunable(
         120.0, unit="s", low=5.0, high=1e4, source="choice: some turns; the yaw rate's bias turns the axis meanwhile"
     )
-    bias_s: float = tunable(
-        60.0, unit="s", low=1.0, high=1e4, source="choice: quiet time that the yaw bias is a mean of"
-    )
+    bias_s: float = tunable(60.0, unit="s", low=1.0, high=1e4, source="choice: quiet time that the bias is a mean of")
     straight_radps: float = tunable(
         0.1, unit="rad/s", low=0.0, high=1.0, source="choice: 1 m/s2 of lateral force at 36 km/h"
     )

@@ -159,7 +159,7 @@ def _follow(
 
 @njit(cache=True, nogil=True)
 def _lasted(at: TimeArray, least_s: float) -> bool:
-    return (at[_ABOVE] - at[_START]) * 1e-9 >= least_s
+    return bool((at[_ABOVE] - at[_START]) * 1e-9 >= least_s)
 
 
 @njit(cache=True, nogil=True)
@@ -180,7 +180,7 @@ def _is_lane_change(held_at: TimeArray, held: FloatArray, at: TimeArray, of: Flo
         return False
     away = _aside(held_at, held, at, of)
     if away == away:
-        return limits[_LANE_LEAST] <= abs(away) <= limits[_LANE_MOST] and away * held[_X_SIDE] > 0.0
+        return bool(limits[_LANE_LEAST] <= abs(away) <= limits[_LANE_MOST] and away * held[_X_SIDE] > 0.0)
     # With no speed a bend cannot be told from a lane but by its harshness.
     return bool(min(held[_X_PEAK], of[_X_PEAK]) >= limits[_LANE])
 

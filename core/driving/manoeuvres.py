@@ -38,7 +38,7 @@ class ManoeuvreThresholds(Tunables):
         unit="Hz",
         low=0.2,
         high=20.0,
-        source="choice: two poles; a car's body answers below 2 Hz, roads shake above",
+        source="choice: two poles; a car answers below 2 Hz, roads shake above",
     )
     braking_mps2: float = tunable(
         4.0, unit="m/s2", low=0.5, high=12.0, source="HR from 4.0; Progressive 3.13, Digital Matter 4.4 (SOURCES)"
@@ -58,9 +58,7 @@ class ManoeuvreThresholds(Tunables):
     settled_s: float = tunable(
         0.4, unit="s", low=0.0, high=5.0, source="choice: so long below it; the time of a gear's change"
     )
-    least_s: float = tunable(
-        0.4, unit="s", low=0.0, high=5.0, source="choice: shorter is a bump or a kerb, no manoeuvre"
-    )
+    least_s: float = tunable(0.4, unit="s", low=0.0, high=5.0, source="choice: shorter is a bump or a kerb")
     longitudinal_gate_mps: float = tunable(
         10.0 / 3.6, unit="m/s", low=0.0, high=50.0, source="GNSS gates from 10 km/h (SOURCES): fastest of the episode"
     )
@@ -182,17 +180,19 @@ class ManoeuvreTracker:
 
         Rows with no acceleration, or not later than the one before, are left out.
         """
-        columns = [
+        forward, right, yaw, speed = (
             np.ascontiguousarray(rows, dtype=np.float64)
             for rows in (motion.forward_mps2, motion.right_mps2, motion.yaw_radps, motion.speed_mps)
-        ]
+        )
         t_ns = np.ascontiguousarray(motion.t_ns)
         told = np.empty((scan.BUFFER, scan.TOLD))
         told_ns = np.empty((scan.BUFFER, 3), dtype=np.int64)
         found: list[Episode] = []
         row = 0
         while row < t_ns.shape[0]:
-            row, count = scan.scan(t_ns, *columns, row, self._times, self._values, self._limits, told, told_ns)
+            row, count = scan.scan(
+                t_ns, forward, right, yaw, speed, row, self._times, self._values, self._limits, told, told_ns
+            )
             found += [self._episode(told_ns[k], told[k]) for k in range(count)]
         return found
 

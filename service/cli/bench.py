@@ -9,11 +9,22 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from service.bench import calibration, calibration_report, kernel, load, navigation, navigation_report, report, stages
+from service.bench import (
+    calibration,
+    calibration_report,
+    driving,
+    kernel,
+    load,
+    navigation,
+    navigation_report,
+    report,
+    stages,
+)
 from service.bench.fleet import record_drives
 from service.bench.target import Address
 from service.cli.ending import unwinding_on_sigterm
@@ -60,6 +71,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="measure the calibration instead: its minimiser beside SciPy's, simulated units against their truth,"
         " public recordings against what other programs found; beside what is asked of each",
     )
+    instead.add_argument(
+        "--driving",
+        action="store_true",
+        help="measure the driving manoeuvres instead: what is found of those of labelled trips, and what beside them",
+    )
     parser.add_argument(
         "--part",
         action="append",
@@ -72,8 +88,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--recordings",
         type=Path,
         metavar="DIR",
-        help="with --calibration: where its recordings are (default: ../shared/data beside the checkout; the"
-        " parts 'recordings' and 'noise' are left out where there are none)",
+        help="with --calibration or --driving: where the recordings are (default: ../shared/data beside the checkout;"
+        " the calibration's parts 'recordings' and 'noise' are left out where there are none)",
     )
     parser.add_argument(
         "--drives",
@@ -98,8 +114,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure; 1 if a packet was lost or taken twice, or an alert did not come."""
-    if arguments.recordings is not None and not arguments.calibration:
-        raise UsageError("--recordings is for --calibration; expected --calibration beside it")
+    if arguments.recordings is not None and not (arguments.calibration or arguments.driving):
+        raise UsageError("--recordings is for --calibration and --driving; expected one of them beside it")
     if arguments.kernel:
         _print_kernel(as_json=arguments.json)
         return 0
@@ -112,6 +128,11 @@ def run(arguments: argparse.Namespace) -> int:
         with _Phases() as phases:
             found = calibration.measure(arguments.part, arguments.recordings, phases.tell)
         print(json.dumps(found) if arguments.json else calibration_report.tables(found))
+        return 0
+    if arguments.driving:
+        with _Phases() as phases:
+            found = driving.measure(arguments.recordings, partial(phases.tell, "labelled trips"))
+        print(json.dumps(found) if arguments.json else driving.tables(found))
         return 0
     _check(arguments)
     with unwinding_on_sigterm(), TemporaryDirectory(prefix="telefuse-bench-") as directory:

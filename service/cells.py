@@ -17,7 +17,7 @@ _FINEST: Final = 15
 
 
 def cells(lat_rad: FloatArray, lon_rad: FloatArray, resolution: int = RESOLUTION) -> list[str]:
-    """The cell of each place, ``UNKNOWN`` where a coordinate is missing; raises UsageError for a resolution H3 lacks."""
+    """The cell of each place, ``UNKNOWN`` where a coordinate is missing; raises UsageError."""
     if not 0 <= resolution <= _FINEST:
         raise UsageError(f"H3 resolution {resolution}; expected 0 to {_FINEST}")
     known = np.isfinite(lat_rad + lon_rad)

@@ -100,4 +100,6 @@ def test_the_same_samples_give_the_same_rows_however_cut_and_restored(size):
         again.load(unpack(pack(stage.state(), 1), 1))
         stage = again
     for name in ("forward_mps2", "right_mps2", "yaw_radps"):
-        assert np.array_equal(np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name), equal_nan=True)
+        assert np.array_equal(
+            np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name), equal_nan=True
+        )

@@ -22,7 +22,9 @@ RATE_HZ = 100.0
 PLACE = Place(math.radians(60.17), math.radians(24.94), 20.0, (15.0, 2.0, 49.0))
 
 
-def driven(route: RouteBuilder, *, bias_b: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 1) -> VehicleMotion:
+def driven(
+    route: RouteBuilder, *, bias_b: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 1
+) -> VehicleMotion:
     """What a tracker is fed: a box's noisy samples with the true attitude and speed."""
     truth = drive(route.build(), PLACE, RATE_HZ)
     generator = np.random.default_rng(seed)

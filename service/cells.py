@@ -22,4 +22,4 @@ def cells(lat_rad: FloatArray, lon_rad: FloatArray, resolution: int = RESOLUTION
         raise UsageError(f"H3 resolution {resolution}; expected 0 to {_FINEST}")
     known = np.isfinite(lat_rad + lon_rad)
     places = zip(np.degrees(lat_rad).tolist(), np.degrees(lon_rad).tolist(), known.tolist(), strict=True)
-    return [h3.latlng_to_cell(lat, lon, resolution) if there else UNKNOWN for lat, lon, there in places]
+    return [str(h3.latlng_to_cell(lat, lon, resolution)) if there else UNKNOWN for lat, lon, there in places]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import operator
 
 import numpy as np
@@ -81,7 +82,7 @@ def test_parts_in_any_order_make_up_the_whole(cuts, order):
         return exposure(t_ns[rows], lat[rows], lon[rows], speed[rows], offset[rows], labels)
 
     ends = sorted({0, *cuts, t_ns.size - 1})
-    parts = [part(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    parts = [part(a, b) for a, b in itertools.pairwise(ends)]
     order.shuffle(parts)
     whole = functools.reduce(operator.add, parts, Exposure())
     assert whole == part(0, t_ns.size - 1)

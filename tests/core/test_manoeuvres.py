@@ -13,6 +13,7 @@ from core.driving.horizontal import HorizontalMotion, Levelling
 from core.driving.manoeuvres import Episode, Manoeuvre, ManoeuvreThresholds, ManoeuvreTracker, explained
 from core.measurements import FloatArray
 from core.rotation import matrix_from_rpy
+from core.sensors import Triple
 from core.simulation.route import RouteBuilder
 from core.simulation.trajectory import Place, drive
 from core.snapshot import pack, unpack
@@ -22,9 +23,7 @@ RATE_HZ = 100.0
 PLACE = Place(math.radians(60.17), math.radians(24.94), 20.0, (15.0, 2.0, 49.0))
 
 
-def driven(
-    route: RouteBuilder, *, bias_b: tuple[float, float, float] = (0.0, 0.0, 0.0), seed: int = 1
-) -> VehicleMotion:
+def driven(route: RouteBuilder, *, bias_b: Triple = (0.0, 0.0, 0.0), seed: int = 1) -> VehicleMotion:
     """What a tracker is fed: a box's noisy samples with the true attitude and speed."""
     truth = drive(route.build(), PLACE, RATE_HZ)
     generator = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Manoeuvres from the navigation filter's own attitude and speed: on simulated drives as from truth, on real ones few."""
+"""Manoeuvres from the filter's own attitude and speed: on simulated drives as from truth, on real ones few."""
 
 from __future__ import annotations
 
@@ -99,14 +99,17 @@ def test_simulated_manoeuvres_are_found_by_the_filter_as_by_truth(scenario, kind
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"),
+    ("name", "most"),
     [
-        # A garage's ramp or a roundabout, once round at 7 m/s and 11 m of radius, and three brisk starts.
+        # Once right round to the left at 7 m/s and 11 m of radius, and three brisk starts; nothing on the others.
         ("kth_stockholm", {Manoeuvre.CORNERING: 1, Manoeuvre.ACCELERATION: 3}),
         ("boston_vn100", {}),
         ("comma2k19_segment", {}),
     ],
 )
-def test_real_drives_are_calm(name, expected):
+def test_real_drives_are_calm(name, most):
     found = fused(read_drive(recording("drives", name)))
-    assert {kind: sum(one.kind is kind for one in found) for kind in {one.kind for one in found}} == expected
+    for kind in Manoeuvre:
+        assert sum(one.kind is kind for one in found) <= most.get(kind, 0)
+    for corner in (one for one in found if one.kind is Manoeuvre.CORNERING):
+        assert (corner.direction, round(corner.radius_m)) == ("left", 11)

@@ -14,8 +14,9 @@ from core.atmosphere import pressure_height_m, standard_pressure_pa
 from core.errors import InvalidInputError
 from core.measurements import Measurements, TimeArray
 from core.sensors import TriadCalibration
-from core.simulation import roads
+from core.simulation import low_speed_series, roads
 from core.simulation.gnss import Receiver, measure_gnss
+from core.simulation.overlay import laid_over
 from core.simulation.route import Route, Sky
 from core.simulation.sensors import (
     EXACT_MEMS,
@@ -113,6 +114,11 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             430.0,
             device=UNCALIBRATED,
         ),
+        "seed1": Scenario(
+            "3.5 h below 20 m/s: 21 low-speed accidents, a third in outages, among potholes, kerbs and hard braking",
+            low_speed_series.seed1,
+            12600.0,
+        ),
         "crash_series": Scenario("an accident of any kind every two to three minutes", roads.crash_series, 3600.0),
     }
 )
@@ -169,20 +175,27 @@ def simulate(
     length_s = chosen.duration_s if duration_s is None else duration_s
     if not SHORTEST_S <= length_s <= LONGEST_S:
         raise InvalidInputError(f"a drive of {length_s:g} s: expected {SHORTEST_S:g} s to {LONGEST_S / 3600:g} h")
+    return perform(scenario, chosen, seed, length_s, rate_hz, draw)
+
+
+def perform(
+    name: str, chosen: Scenario, seed: int, length_s: float, rate_hz: float = 200.0, draw: int = 0
+) -> SimulatedDrive:
+    """Simulate a scenario that need not be in ``SCENARIOS``; the rest as ``simulate``."""
     route_rng, unit_rng, *noise_rngs = np.random.default_rng(seed).spawn(5)
     if draw > 0:
         noise_rngs = np.random.default_rng([seed, draw]).spawn(3)
     inertial_rng, slow_rng, air_rng = noise_rngs
     route = chosen.route(route_rng, length_s)
     errors = draw_errors(chosen.device, unit_rng)
-    trajectory = drive(route, MADRID, rate_hz, chosen.suspension)
+    trajectory = laid_over(drive(route, MADRID, rate_hz, chosen.suspension), route.disturbances)
     f_s, omega_s = measure_inertial(trajectory, chosen.device, errors, inertial_rng)
     gnss_t_s, gnss = measure_gnss(trajectory, route.sky, chosen.receiver, chosen.gnss_lever_arm_b_m, slow_rng)
     magnetic_t_s, magnetic = measure_magnetic(trajectory, MADRID.field_n_ut, chosen.device, errors, slow_rng)
     speed_t_s, speed = measure_wheel_speed(trajectory, chosen.device, errors)
     barometer_t_s, pressure_pa = measure_pressure(trajectory, chosen.device, errors, air_rng)
     return SimulatedDrive(
-        scenario=scenario,
+        scenario=name,
         start_t_ns=START_T_NS,
         rate_hz=rate_hz,
         mounting_rpy_rad=chosen.device.mounting_rpy_rad,
@@ -203,7 +216,7 @@ def simulate(
             accel_full_scale_mps2=chosen.device.accelerometer.full_scale,
         ),
         trajectory=trajectory,
-        truth=_truth(scenario, seed, chosen.device, errors, route, trajectory),
+        truth=_truth(name, seed, chosen.device, errors, route, trajectory),
     )
 
 
@@ -248,6 +261,15 @@ def _truth(
         "outages": spans(Sky.TUNNEL, Sky.OUTAGE),
         "canyons": spans(Sky.CANYON),
         "bumps": [{"t_s": round(one.start_s, 3), "height_m": one.height_m} for one in route.bumps],
+        "non_accidents": [
+            {
+                "t_s": round(t_s, 3),
+                "duration_s": round(one.duration_s, 3),
+                "kind": one.kind.value,
+                "hardness": round(one.hardness, 3),
+            }
+            for t_s, one in route.disturbances
+        ],
         "sensor_errors": {
             "accelerometer": _calibration_json(errors.accelerometer),
             "gyroscope": _calibration_json(errors.gyroscope),

@@ -15,6 +15,9 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from service.bench import (
+    accident_long,
+    accident_report,
+    accidents,
     calibration,
     calibration_report,
     driving,
@@ -72,9 +75,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
         " public recordings against what other programs found; beside what is asked of each",
     )
     instead.add_argument(
+        "--accidents",
+        action="store_true",
+        help="measure the accident engine instead: accidents found, placed and described, false alarms per 100 000 km,"
+        " in simulation and on recordings; the paper's rule on the same input; beside what is asked of each",
+    )
+    instead.add_argument(
         "--driving",
         action="store_true",
         help="measure the driving manoeuvres instead: what is found of those of labelled trips, and what beside them",
+    )
+    parser.add_argument(
+        "--km",
+        type=float,
+        metavar="KM",
+        help=f"with --accidents: how far the part 'long' drives (default {accident_long.KM:.0f})",
     )
     parser.add_argument(
         "--part",
@@ -82,21 +97,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME",
         help=f"with --navigation: only this part, {', '.join(navigation.PART_NAMES)}; with --calibration:"
-        f" {', '.join(calibration.PART_NAMES)}; may be repeated (default: all)",
+        f" {', '.join(calibration.PART_NAMES)}; with --accidents: {', '.join(accidents.PART_NAMES)}; may be repeated"
+        " (default: all)",
     )
     parser.add_argument(
         "--recordings",
         type=Path,
         metavar="DIR",
-        help="with --calibration or --driving: where the recordings are (default: ../shared/data beside the checkout;"
-        " the calibration's parts 'recordings' and 'noise' are left out where there are none)",
+        help="with --calibration, --accidents or --driving: where the recordings are (default: ../shared/data beside"
+        " the checkout; the parts 'recordings' and 'noise' are left out where there are none)",
     )
     parser.add_argument(
         "--drives",
         type=Path,
         metavar="DIR",
-        help="with --navigation: where the recorded drives are (default: ../shared/drives beside the checkout;"
-        " the part 'real' is left out where there are none)",
+        help="with --navigation or --accidents: where the recorded drives are (default: ../shared/drives beside the"
+        " checkout; the part 'real' is left out where there are none)",
     )
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
     parser.add_argument(
@@ -114,8 +130,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure; 1 if a packet was lost or taken twice, or an alert did not come."""
-    if arguments.recordings is not None and not (arguments.calibration or arguments.driving):
-        raise UsageError("--recordings is for --calibration and --driving; expected one of them beside it")
+    if arguments.recordings is not None and not (arguments.calibration or arguments.accidents or arguments.driving):
+        raise UsageError("--recordings is for --calibration, --accidents and --driving; expected one of these")
+    if arguments.km is not None and not arguments.accidents:
+        raise UsageError("--km is for --accidents; expected --accidents beside it")
     if arguments.kernel:
         _print_kernel(as_json=arguments.json)
         return 0
@@ -133,6 +151,12 @@ def run(arguments: argparse.Namespace) -> int:
         with _Phases() as phases:
             found = driving.measure(arguments.recordings, partial(phases.tell, "labelled trips"))
         print(json.dumps(found) if arguments.json else driving.tables(found))
+        return 0
+    if arguments.accidents:
+        km = accident_long.KM if arguments.km is None else arguments.km
+        with _Phases() as phases:
+            found = accidents.measure(arguments.part, km, arguments.recordings, arguments.drives, phases.tell)
+        print(json.dumps(found) if arguments.json else accident_report.tables(found))
         return 0
     _check(arguments)
     with unwinding_on_sigterm(), TemporaryDirectory(prefix="telefuse-bench-") as directory:
@@ -216,7 +240,8 @@ def _print_kernel(*, as_json: bool) -> None:
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.part or arguments.drives is not None:
         raise UsageError(
-            "--part and --drives are for --navigation, --part also for --calibration; expected one of these beside them"
+            "--part and --drives are for --navigation and --accidents, --part also for --calibration;"
+            " expected one of these beside them"
         )
     if not 1 <= arguments.vehicles <= MAX_VEHICLES:
         raise UsageError(f"--vehicles {arguments.vehicles}: expected 1 to {MAX_VEHICLES}")

@@ -130,7 +130,7 @@ def test_the_accelerometer_is_among_the_problems_and_all_minimisers_find_it():
         ),
         (["--calibration", "--recordings", "/nowhere"], "no 'calib_xsens_imu_tk'"),
         (["--calibration", "--part", "noise", "--recordings", "/nowhere"], "no 'static_adis16405_2h8'"),
-        (["--recordings", "/nowhere"], "--recordings is for --calibration and --driving"),
+        (["--recordings", "/nowhere"], "--recordings is for --calibration, --accidents and --driving"),
     ],
 )
 def test_what_it_cannot_do_is_one_line(arguments, message, capsys):

@@ -99,6 +99,12 @@ class ManoeuvreThresholds(Tunables):
         source="choice: fused, a vertical is not moved by a manoeuvre; of a phone's own, see PHONE",
     )
     gap_s: float = tunable(1.0, unit="s", low=0.05, high=60.0, source="choice: across longer nothing is followed")
+    foreseen_s: float = tunable(
+        2.0, unit="s", low=0.0, high=60.0, source="choice: who sees a hazard brakes so long before it is detected"
+    )
+    evading_s: float = tunable(
+        5.0, unit="s", low=0.0, high=60.0, source="choice: or begins to brake or swerve so long after that, at most"
+    )
 
 
 PHONE: Final = ManoeuvreThresholds(disturbed_s=5.0)
@@ -253,22 +259,21 @@ class ManoeuvreTracker:
 
 
 def explained(
-    episodes: Iterable[Episode], causes_t_ns: Iterable[int], *, before_s: float = 2.0, after_s: float = 5.0
+    episodes: Iterable[Episode], causes_t_ns: Iterable[int], thresholds: ManoeuvreThresholds | None = None
 ) -> list[Episode]:
     """The episodes, those braking or swerving marked as defensive that a hazard or an accident explains.
 
     Parameters
     ----------
     causes_t_ns : when hazards and accidents were, as they were detected
-    before_s, after_s : one explains an episode that begins at most so long before it, or so long after (choices:
-        who sees a hazard brakes before it is there; who brakes for it may do so again)
     """
+    limits = thresholds or ManoeuvreThresholds()
     causes = sorted(causes_t_ns)
-    before, after = round(1e9 * before_s), round(1e9 * after_s)
+    foreseen, evading = round(1e9 * limits.foreseen_s), round(1e9 * limits.evading_s)
     evasive = (Manoeuvre.BRAKING, Manoeuvre.LANE_CHANGE)
     return [
         replace(one, defensive=True)
-        if one.kind in evasive and any(one.start_t_ns - after <= cause <= one.end_t_ns + before for cause in causes)
+        if one.kind in evasive and any(one.start_t_ns - evading <= cause <= one.end_t_ns + foreseen for cause in causes)
         else one
         for one in episodes
     ]

@@ -195,6 +195,7 @@ class ImpactDetector:
             retained=pulse.retained,
             rate_radps=pulse.rate_radps,
             jolt_radps=pulse.jolt_radps,
+            clipping_s=pulse.clipping_s,
             abrupt=pulse.abrupt,
             rough_mps2=math.sqrt(max(float(x[pulse.first, ROUGH]), 0.0)),
             stood=pulse.stood,

@@ -19,6 +19,7 @@ class Shock:
     stood, moved : whether the vehicle had stood, and whether it has moved within the last minutes
     shocks : how many followed each other
     abrupt : largest acceleration right before and after, over the peak
+    clipping_s : for how long an axis of the accelerometer read its full scale at a stretch
     heave_s : length of the largest vertical swing
     sway_radps, nod_radps, turn_radps : largest roll, pitch and yaw rates
     rough_mps2 : rms of the vertical acceleration just before
@@ -33,6 +34,7 @@ class Shock:
     moved: bool
     shocks: int
     abrupt: float
+    clipping_s: float
     heave_s: float
     sway_radps: float
     nod_radps: float
@@ -52,7 +54,8 @@ def name(shock: Shock, limits: NamingThresholds) -> NoAccident:
     rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
     if shock.fell:
         return NoAccident.BOX_DROPPED
-    if shock.abrupt < limits.abrupt_share and rate < limits.abrupt_radps:
+    stuck = shock.clipping_s > limits.stuck_s
+    if stuck or (shock.abrupt < limits.abrupt_share and rate < limits.abrupt_radps):
         return NoAccident.SENSOR_GLITCH
     if rate > limits.knock_radps:
         return NoAccident.BOX_KNOCKED

@@ -36,10 +36,6 @@ class LevelThresholds(Tunables):
     standing_mps: float = tunable(
         0.3, unit="m/s", low=0.05, high=1.0, source="choice: fused speeds of standing cars stay below 0.1 m/s"
     )
-    still_mps2: float = tunable(
-        1.0, unit="m/s2", low=0.1, high=5.0, source="choice: an idling engine shakes by less, a moving car by more"
-    )
-    still_radps: float = tunable(0.1, unit="rad/s", low=0.01, high=1.0, source="choice: as still_mps2")
     slow_s: float = tunable(
         0.3, unit="s", low=0.05, high=2.0, source="choice: brakes build up within it, a crash pulse is over"
     )
@@ -273,6 +269,19 @@ class JudgementThresholds(Tunables):
     abrupt_radps: float = tunable(
         0.15, unit="rad/s", low=0.0, high=2.0, source="choice: blows turn a car, if only by its springs"
     )
+    stuck_s: float = tunable(
+        0.2, unit="s", low=0.05, high=1.0, source="choice: crash pulses at 2 g last 0.12 s; an axis that hangs goes on"
+    )
+    still_s: float = tunable(
+        0.08, unit="s", low=0.01, high=1.0, source="choice: clipped so long, a blow has shaken the other axes too"
+    )
+    still_share: float = tunable(
+        0.06,
+        unit="1",
+        low=0.0,
+        high=0.5,
+        source="NHTSA test 10146: the vertical has 0.07 of the clipped change and more",
+    )
     impossible: float = tunable(
         -7.0, unit="1", low=-50.0, high=0.0, source="choice, 1 in 1000: a failing converter, or a box that falls freely"
     )
@@ -315,6 +324,9 @@ class NamingThresholds(Tunables):
     )
     abrupt_radps: float = tunable(
         0.2, unit="rad/s", low=0.0, high=2.0, source="choice: a turn is felt, but no blow that turns the car"
+    )
+    stuck_s: float = tunable(
+        0.1, unit="s", low=0.02, high=1.0, source="choice: shocks that are no accidents clip for less"
     )
 
     train_shocks: int = tunable(

@@ -9,6 +9,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -19,6 +20,7 @@ from service.bench import (
     accidents,
     calibration,
     calibration_report,
+    driving,
     kernel,
     load,
     navigation,
@@ -78,6 +80,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="measure the accident engine instead: accidents found, placed and described, false alarms per 100 000 km,"
         " in simulation and on recordings; the paper's rule on the same input; beside what is asked of each",
     )
+    instead.add_argument(
+        "--driving",
+        action="store_true",
+        help="measure the driving manoeuvres instead: what is found of those of labelled trips, and what beside them",
+    )
     parser.add_argument(
         "--km",
         type=float,
@@ -97,8 +104,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--recordings",
         type=Path,
         metavar="DIR",
-        help="with --calibration or --accidents: where its recordings are (default: ../shared/data beside the checkout;"
-        " the parts 'recordings' and 'noise' are left out where there are none)",
+        help="with --calibration, --accidents or --driving: where the recordings are (default: ../shared/data beside"
+        " the checkout; the parts 'recordings' and 'noise' are left out where there are none)",
     )
     parser.add_argument(
         "--drives",
@@ -123,8 +130,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure; 1 if a packet was lost or taken twice, or an alert did not come."""
-    if arguments.recordings is not None and not (arguments.calibration or arguments.accidents):
-        raise UsageError("--recordings is for --calibration and --accidents; expected one of these beside it")
+    if arguments.recordings is not None and not (arguments.calibration or arguments.accidents or arguments.driving):
+        raise UsageError("--recordings is for --calibration, --accidents and --driving; expected one of these")
     if arguments.km is not None and not arguments.accidents:
         raise UsageError("--km is for --accidents; expected --accidents beside it")
     if arguments.kernel:
@@ -139,6 +146,11 @@ def run(arguments: argparse.Namespace) -> int:
         with _Phases() as phases:
             found = calibration.measure(arguments.part, arguments.recordings, phases.tell)
         print(json.dumps(found) if arguments.json else calibration_report.tables(found))
+        return 0
+    if arguments.driving:
+        with _Phases() as phases:
+            found = driving.measure(arguments.recordings, partial(phases.tell, "labelled trips"))
+        print(json.dumps(found) if arguments.json else driving.tables(found))
         return 0
     if arguments.accidents:
         km = accident_long.KM if arguments.km is None else arguments.km

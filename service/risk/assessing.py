@@ -1,0 +1,230 @@
+"""A drive folder through the assessment of risk: by the filter's solution, by GNSS alone, or by the reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from core.earth import STANDARD_GRAVITY_MPS2, ned_offset_m
+from core.measurements import GNSS, FloatArray, TimeArray
+from core.navigation.poses import covariance_at
+from core.navigation.solution import SLOW, Solution
+from core.navigation.track import Mode, Track
+from core.risk.assessment import Assessment, RiskModel, assess
+from core.risk.driver import Driver
+from core.risk.environment import Environment, solar_offset_s
+from core.risk.motion import Motion, motion_at
+from core.risk.vehicle import Road
+from service.errors import UsageError
+from service.recordings.drive_folder import Drive
+from service.recordings.fusing import Fused, Outage, withhold
+
+SOURCES: Final = ("fused", "raw", "reference")
+EVERY_NS: Final = 1_000_000_000
+"""An instant a second of the drive: as often as a receiver says where it is."""
+GNSS_SPEED_SD_MPS: Final = 0.1
+"""Of a receiver that does not say its own: Doppler's, as simulated ones have it; a choice."""
+GNSS_POSITION_SD_M: Final = 5.0
+"""The same of its position; a choice."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Instants:
+    """Where a vehicle was and how it moved at n instants, by one source; NaN where that does not say.
+
+    ``lat_rad``, ``lon_rad`` and ``position_sd_m`` are of the last place known.
+    """
+
+    t_ns: TimeArray
+    lat_rad: FloatArray
+    lon_rad: FloatArray
+    position_sd_m: FloatArray
+    course_rad: FloatArray
+    motion: Motion
+
+
+Roads = Callable[[Instants], Road]
+"""The road under each instant."""
+
+
+def unknown_roads(instants: Instants) -> Road:
+    """Without a map: nothing known."""
+    n = len(instants.t_ns)
+    nothing = np.full(n, "")
+    return Road(np.full(n, np.nan), nothing, nothing, np.zeros(n))
+
+
+def instants_of(drive: Drive) -> TimeArray:
+    """The instants of a drive, the same for every source: whole seconds of its own time while all of it is recorded."""
+    first, last = int(drive.measurements.imu_t_ns[0]), int(drive.measurements.imu_t_ns[-1])
+    if drive.reference is not None and len(drive.reference.t_ns):
+        first, last = max(first, int(drive.reference.t_ns[0])), min(last, int(drive.reference.t_ns[-1]))
+    begin = drive.start_t_ns + -((drive.start_t_ns - first) // EVERY_NS) * EVERY_NS
+    return np.arange(begin, last + 1, EVERY_NS, dtype=np.int64)
+
+
+def by_source(drive: Drive, source: str, outages: Sequence[Outage], fused: Fused | None) -> Instants:
+    """What a source says of each instant of a drive; ``fused`` is needed for ``fused`` alone, with its solution."""
+    t_ns = instants_of(drive)
+    if not len(t_ns):
+        raise UsageError(f"{drive.name}: no second of it is recorded whole; expected a drive of some seconds")
+    if source == "reference":
+        return _by_reference(drive, t_ns)
+    raw = _by_gnss(drive, t_ns, outages)
+    if source == "raw":
+        return raw
+    if fused is None or fused.solution is None:
+        raise ValueError("a fused source needs its solution")
+    return _by_solution(fused.solution, t_ns, raw)
+
+
+def _by_reference(drive: Drive, t_ns: TimeArray) -> Instants:
+    reference = drive.reference
+    if reference is None or len(reference.t_ns) < 2:
+        raise UsageError(f"{drive.name}: has no reference.csv; expected one for --source reference")
+    exact = np.zeros(len(t_ns))
+    motion = motion_at(t_ns, reference.t_ns, reference.v_n_mps, exact, exact)
+    return _placed(t_ns, reference.t_ns, reference.lat_rad, reference.lon_rad, reference.v_n_mps, exact, motion)
+
+
+def _by_gnss(drive: Drive, t_ns: TimeArray, outages: Sequence[Outage]) -> Instants:
+    """Fixes outside the outages alone; velocities as told, or from the positions."""
+    m = withhold(drive, outages)
+    there = np.isfinite(m.gnss[:, [GNSS["lat_rad"], GNSS["lon_rad"]]]).all(axis=1)
+    fixes, fix_t_ns = m.gnss[there], m.gnss_t_ns[there]
+    if len(fixes) < 2:
+        nothing = np.full(len(t_ns), np.nan)
+        return Instants(t_ns, nothing, nothing, nothing, nothing, Motion(*[nothing] * 5))
+    v_n = _velocity(fixes, fix_t_ns)
+    sd = _nearest(t_ns, fix_t_ns, np.nan_to_num(fixes[:, GNSS["sd_v_mps"]], nan=GNSS_SPEED_SD_MPS))
+    # The change between two velocities a second apart has the error of both.
+    motion = motion_at(t_ns, fix_t_ns, v_n, sd, math.sqrt(2.0) * sd)
+    position_sd = _nearest(t_ns, fix_t_ns, np.nan_to_num(fixes[:, GNSS["sd_h_m"]], nan=GNSS_POSITION_SD_M))
+    lat, lon = fixes[:, GNSS["lat_rad"]], fixes[:, GNSS["lon_rad"]]
+    placed = _placed(t_ns, fix_t_ns, lat, lon, v_n, position_sd, motion)
+    # In an outage the last place known holds, as in the paper; before the first fix there is none.
+    held = np.searchsorted(fix_t_ns, t_ns, side="right") - 1
+    lost = ~motion.known
+    for array, values in ((placed.lat_rad, lat), (placed.lon_rad, lon)):
+        array[lost] = np.where(held[lost] >= 0, values[np.maximum(held[lost], 0)], np.nan)
+    return placed
+
+
+def _by_solution(solution: Solution, t_ns: TimeArray, raw: Instants) -> Instants:
+    """The filter's solution; GNSS alone until it is aligned."""
+    track = solution.track
+    used = np.isfinite(track.column("lat_rad")) & (track.column("mode") != Mode.ALIGNING)
+    track = Track(track.t_ns[used], track.values[used])
+    if len(track.t_ns) < 2:
+        return raw
+    covariance, reached = covariance_at(solution, t_ns)
+    variance = np.where(reached[:, None], np.diagonal(covariance, axis1=1, axis2=2), np.nan)
+    position_sd, speed_sd, tilt_sd = (np.sqrt(variance[:, [i, i + 1]].mean(axis=1)) for i in (0, 3, 6))
+    bias_sd = solution.slow_sd[:, [SLOW["accel_bias_x_mps2"], SLOW["accel_bias_y_mps2"]]].mean(axis=1)
+    acceleration_sd = np.hypot(STANDARD_GRAVITY_MPS2 * tilt_sd, _nearest(t_ns, solution.t_ns, bias_sd))
+    v_n = track.values[:, [3, 4]] if False else np.column_stack([track.column("vn_mps"), track.column("ve_mps")])
+    motion = motion_at(t_ns, track.t_ns, v_n, speed_sd, acceleration_sd)
+    ours = _placed(t_ns, track.t_ns, track.column("lat_rad"), track.column("lon_rad"), v_n, position_sd, motion)
+    return _first_known(ours, raw)
+
+
+def _first_known(one: Instants, other: Instants) -> Instants:
+    """One where it knows the motion, elsewhere the other."""
+    known = one.motion.known
+
+    def chosen(a: FloatArray, b: FloatArray) -> FloatArray:
+        return np.where(known, a, b)
+
+    names = ("speed_mps", "forward_mps2", "right_mps2", "speed_sd_mps", "acceleration_sd_mps2")
+    motion = Motion(*(chosen(getattr(one.motion, name), getattr(other.motion, name)) for name in names))
+    names = ("lat_rad", "lon_rad", "position_sd_m", "course_rad")
+    return Instants(one.t_ns, *(chosen(getattr(one, name), getattr(other, name)) for name in names), motion)
+
+
+def _placed(
+    t_ns: TimeArray,
+    at_ns: TimeArray,
+    lat_rad: FloatArray,
+    lon_rad: FloatArray,
+    v_n: FloatArray,
+    position_sd_m: FloatArray,
+    motion: Motion,
+) -> Instants:
+    t, at = (t_ns - t_ns[0]).astype(float), (at_ns - t_ns[0]).astype(float)
+    lon = np.interp(t, at, np.unwrap(lon_rad))
+    moving = np.isfinite(v_n[:, :2]).all(axis=1)
+    north, east = (np.interp(t, at[moving], v_n[moving, axis]) if moving.any() else np.zeros(len(t)) for axis in (0, 1))
+    course = np.where(motion.known, np.arctan2(east, north), np.nan)
+    return Instants(t_ns, np.interp(t, at, lat_rad), lon, position_sd_m, course, motion)
+
+
+def _velocity(fixes: FloatArray, t_ns: TimeArray) -> FloatArray:
+    """North and east velocity of fixes: as told, from speed and course, or by the positions around; (n, 2)."""
+    told = fixes[:, [GNSS["vn_mps"], GNSS["ve_mps"]]]
+    course, speed = fixes[:, GNSS["course_rad"]], fixes[:, GNSS["speed_mps"]]
+    by_course = speed[:, None] * np.column_stack([np.cos(course), np.sin(course)])
+    v_n = np.where(np.isfinite(told), told, by_course)
+    if np.isfinite(v_n).all(axis=1).any():
+        return v_n
+    origin = (float(fixes[0, GNSS["lat_rad"]]), float(fixes[0, GNSS["lon_rad"]]), 0.0)
+    lat, lon = fixes[:, GNSS["lat_rad"]], fixes[:, GNSS["lon_rad"]]
+    place = ned_offset_m(lat, lon, np.zeros(len(lat)), origin)[:, :2]
+    return np.asarray(np.gradient(place, (t_ns - t_ns[0]) * 1e-9, axis=0))
+
+
+def _nearest(t_ns: TimeArray, at_ns: TimeArray, values: FloatArray) -> FloatArray:
+    after = np.clip(np.searchsorted(at_ns, t_ns), 1, max(len(at_ns) - 1, 1))
+    chosen = np.where(t_ns - at_ns[after - 1] <= at_ns[np.minimum(after, len(at_ns) - 1)] - t_ns, after - 1, after)
+    return np.asarray(values[np.minimum(chosen, len(values) - 1)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AssessedDrive:
+    """An assessment with what it was made from, and what was left out of it and why."""
+
+    instants: Instants
+    environment: Environment
+    road: Road
+    assessment: Assessment
+    in_outage: np.ndarray[Any, np.dtype[np.bool_]]
+    left_out: tuple[str, ...]
+
+
+def assess_drive(
+    drive: Drive,
+    model: RiskModel,
+    driver: Driver,
+    instants: Instants,
+    outages: Sequence[Outage],
+    *,
+    utc_offset_s: float | None,
+    start_t_ns: int | None = None,
+    roads: Roads = unknown_roads,
+) -> AssessedDrive:
+    """Assess a drive's instants; ``start_t_ns`` moves the drive to another time, ``utc_offset_s`` makes it local."""
+    shift_ns = 0 if start_t_ns is None else start_t_ns - drive.start_t_ns
+    road = roads(instants)
+    placed = np.isfinite(instants.lon_rad)
+    offset_s = utc_offset_s
+    if offset_s is None:
+        offset_s = solar_offset_s(float(instants.lon_rad[placed][0])) if placed.any() else 0.0
+    environment = Environment(
+        t_ns=instants.t_ns + shift_ns,
+        utc_offset_s=offset_s,
+        lat_rad=instants.lat_rad,
+        lon_rad=instants.lon_rad,
+        road=road.road,
+        surroundings=road.surroundings,
+        district=np.full(len(placed), ""),
+        position_sd_m=road.position_sd_m,
+    )
+    assessment = assess(model, driver, environment, instants.motion, road)
+    t_s = drive.t_s(instants.t_ns)
+    inside = np.zeros(len(t_s), np.bool_)
+    for outage in outages:
+        inside |= (t_s >= outage.start_s) & (t_s < outage.end_s)
+    return AssessedDrive(instants, environment, road, assessment, inside, ())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final, Protocol
@@ -109,6 +110,32 @@ class MatchedPoints:
         named = int(self.district_index[index])
         return None if named == NO_NAME else self.districts[named]
 
+    def at(self, rows: IntArray) -> MatchedPoints:
+        """Some of the points, by their indices, which may repeat."""
+        return MatchedPoints(
+            *(getattr(self, name)[rows] for name in self.__slots__ if name not in ("streets", "districts")),
+            streets=self.streets,
+            districts=self.districts,
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[MatchedPoints]) -> MatchedPoints:
+        """All points of some parts, one after the other."""
+        columns = {
+            name: np.concatenate([getattr(one, name) for one in parts])
+            for name in cls.__slots__
+            if not name.startswith(("street", "district"))
+        }
+        street_index, streets = _joined_names([(one.street_index, one.streets) for one in parts])
+        district_index, districts = _joined_names([(one.district_index, one.districts) for one in parts])
+        return cls(
+            **columns,
+            street_index=street_index,
+            district_index=district_index,
+            streets=streets,
+            districts=districts,
+        )
+
     @classmethod
     def unknown(cls, n: int) -> MatchedPoints:
         """Nothing known of n points."""
@@ -128,6 +155,15 @@ class MatchedPoints:
             streets=(),
             districts=(),
         )
+
+
+def _joined_names(parts: Sequence[tuple[IntArray, tuple[str, ...]]]) -> tuple[IntArray, tuple[str, ...]]:
+    names: dict[str, int] = {}
+    indices = []
+    for index, own in parts:
+        places = np.array([*(names.setdefault(name, len(names)) for name in own), NO_NAME], np.int64)
+        indices.append(places[index])  # NO_NAME is the last one
+    return np.concatenate(indices) if indices else np.empty(0, np.int64), tuple(names)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Where the sun stands: elevation by NOAA's solar equations (Meeus, *Astronomical Algorithms*, ch. 25, low accuracy)."""
+"""Where the sun stands: elevation by NOAA's solar equations (Meeus, *Astronomical Algorithms*, ch. 25)."""
 
 from __future__ import annotations
 

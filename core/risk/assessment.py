@@ -1,4 +1,4 @@
-"""A drive's risk, instant by instant: sources fused within driver, environment and vehicle, then these three (fig. 1)."""
+"""A drive's risk, instant by instant: sources fused within driver, environment and vehicle, then these (fig. 1)."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ class Assessment:
 def assess(model: RiskModel, driver: Driver, environment: Environment, motion: Motion) -> Assessment:
     """Assess n instants.
 
-    A source that knows nothing of an instant has no part in its entity there (PCR6 is not neutral to a vacuous one), and
-    an entity of which nothing is ever known is left out. A vehicle without a velocity takes part on Theta, as in the
-    paper. Coverage says how far each was known.
+    A source that knows nothing of an instant has no part in its entity there, as PCR6 is not neutral to a vacuous one,
+    and an entity of which nothing is ever known is left out. A vehicle without a velocity takes part on Theta, as in
+    the paper. Coverage says how far each was known.
 
     Parameters
     ----------

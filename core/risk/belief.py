@@ -95,7 +95,7 @@ def pignistic(mass: FloatArray) -> FloatArray:
     """
     there = 1.0 - mass[..., EMPTY, None]
     shared = _summed(mass, _SHARES)
-    return np.divide(shared, there, out=np.full(shared.shape, np.nan), where=there > 0.0)
+    return np.asarray(np.divide(shared, there, out=np.full(shared.shape, np.nan), where=there > 0.0))
 
 
 def decision(scores: FloatArray) -> npt.NDArray[np.int64]:

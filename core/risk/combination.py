@@ -19,8 +19,8 @@ pcr5           where the intersection is empty, each different set A among the X
 =============  ======================================================================================================
 
 Sources may carry mass on the empty set. It is conflict: it stays there (smets), is divided away (dempster) or goes to
-Theta (yager); in a union it adds nothing; in the PCR rules it takes no share (Smarandache & Dezert 2004, 9.1). Where all
-of a product is empty there is nothing to share it among, and it stays on the empty set.
+Theta (yager); in a union it adds nothing; in the PCR rules it takes no share (Smarandache & Dezert 2004, 9.1). Where
+all of a product is empty there is nothing to share it among, and it stays on the empty set.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def combine(masses: FloatArray, rule: str = "pcr6") -> tuple[FloatArray, FloatAr
     if rule not in RULES:
         raise InvalidInputError(f"unknown rule '{rule}': expected one of {', '.join(RULES)}")
     if masses.ndim not in (2, 3) or masses.shape[-1] != _N or masses.shape[-2] < 1:
-        raise InvalidInputError(f"masses of shape {masses.shape}: expected (instants, sources, 8) with 1 source or more")
+        raise InvalidInputError(f"masses of shape {masses.shape}: expected (instants, sources, 8), 1 source or more")
     batch = np.ascontiguousarray(masses if masses.ndim == 3 else masses[None])
     n, k, _ = batch.shape
     code = RULES.index(rule)

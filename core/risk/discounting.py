@@ -20,7 +20,7 @@ _CONTEXTS: Final = tuple(1 << bit for bit in range(len(SINGLETONS)))
 
 
 def discount(mass: FloatArray, alpha: npt.ArrayLike) -> FloatArray:
-    """Shafer's discounting, (..., 8): the share ``alpha`` (0 to 1) of every mass goes to Theta (Shafer 1976, p. 252)."""
+    """Shafer's discounting, (..., 8): the share ``alpha``, 0 to 1, of every mass goes to Theta (Shafer 1976)."""
     rate = _rate(alpha)[..., None]
     out = (1.0 - rate) * mass
     out[..., THETA] += rate[..., 0] * mass.sum(axis=-1)

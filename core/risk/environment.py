@@ -83,9 +83,7 @@ class Environment:
         }
 
 
-def calendar(
-    t_ns: TimeArray, utc_offset_s: float
-) -> tuple[npt.NDArray[Any], npt.NDArray[np.int64], npt.NDArray[Any]]:
+def calendar(t_ns: TimeArray, utc_offset_s: float) -> tuple[npt.NDArray[Any], npt.NDArray[np.int64], npt.NDArray[Any]]:
     """Hour (0 to 23), weekday (0 Monday to 6 Sunday) and month (1 to 12) of local time, (n,) each."""
     local_ns = t_ns + round(utc_offset_s * 1e9)
     hours = local_ns // _HOUR_NS

@@ -1,4 +1,4 @@
-"""Mamdani's fuzzy inference over arrays: minimum for "and" and implication, maximum to aggregate, centroid to defuzzify.
+"""Mamdani's fuzzy inference over arrays: minimum for "and" and implication, maximum to aggregate, then the centroid.
 
 Sets are trapezoids whose flanks may be rounded, as Zadeh's S-, Z- and pi-shaped functions are: then a small error of an
 input makes a small error of the output also at the edge of a core.
@@ -24,7 +24,7 @@ with 2001 the centroids of the shipped systems differ by less than 1e-3."""
 
 @dataclass(frozen=True, slots=True)
 class FuzzySet:
-    """A trapezoid: degree 0 up to ``foot`` and 1 from ``core``, on the left and on the right; infinite for a shoulder."""
+    """A trapezoid: degree 0 up to a foot and 1 from a core, on the left and on the right; infinite for a shoulder."""
 
     foot_left: float
     core_left: float
@@ -113,15 +113,15 @@ def system_of(name: str, table: Mapping[str, Any]) -> FuzzySystem:
     """A system from what a TOML table says of it; raises InvalidInputError that names what is wrong.
 
     ``inputs.<variable>.<set>`` and ``output.<set>`` are corners [foot, core, core, foot]; ``rounded`` says whether the
-    inputs' flanks are; ``span`` is the output's range; ``rules`` are ``{when = {variable = set or [sets]}, then = set}``.
+    inputs' flanks are; ``span`` is the output's range; a rule is ``{when = {variable = set or [sets]}, then = set}``.
     """
     try:
         rounded = bool(table.get("rounded", False))
         inputs = {
-            variable: {term: FuzzySet(*_numbers(corners, 4), rounded) for term, corners in sets.items()}
+            variable: {term: _set(corners, rounded) for term, corners in sets.items()}
             for variable, sets in table["inputs"].items()
         }
-        output = {term: FuzzySet(*_numbers(corners, 4)) for term, corners in table["output"].items()}
+        output = {term: _set(corners, False) for term, corners in table["output"].items()}
         low, high = _numbers(table["span"], 2)
         rules = tuple(
             Rule({v: [t] if isinstance(t, str) else list(t) for v, t in rule["when"].items()}, rule["then"])
@@ -134,6 +134,11 @@ def system_of(name: str, table: Mapping[str, Any]) -> FuzzySystem:
     except InvalidInputError as error:
         raise InvalidInputError(f"{name}: {error}") from None
     return FuzzySystem(name, inputs, output, (low, high), rules)
+
+
+def _set(corners: Any, rounded: bool) -> FuzzySet:
+    foot_left, core_left, core_right, foot_right = _numbers(corners, 4)
+    return FuzzySet(foot_left, core_left, core_right, foot_right, rounded)
 
 
 def _numbers(values: Any, n: int) -> list[float]:

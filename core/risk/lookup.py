@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -73,14 +74,14 @@ class Row:
 
     def holds(self, values: Values) -> BoolArray:
         """Where all its conditions hold, (n,); not where an input is unknown."""
-        met = np.True_
+        met: BoolArray = np.ones(len(next(iter(values.values()))), np.bool_)
         for name, wanted in self.when.items():
             given = values[name]
             if isinstance(wanted, frozenset):
                 met = met & np.isin(given, sorted(wanted))
             else:
                 met = met & (given >= wanted[0]) & (given < wanted[1])
-        return np.asarray(met)
+        return met
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +93,12 @@ class RiskTable:
     source: str
     rows: tuple[Row, ...]
     used: bool = True
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Words that its rows ask for, each once."""
+        asked = (wanted for row in self.rows for wanted in row.when.values() if isinstance(wanted, frozenset))
+        return tuple(dict.fromkeys(word for words in asked for word in sorted(words)))
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -153,7 +160,7 @@ def tables_of(document: Mapping[str, Any], base: RiskTables | None = None) -> Ri
             old = found[name]
             found[name] = RiskTable(old.name, old.entity, old.source, old.rows, used)
     if not found:
-        raise InvalidInputError("no table: expected [[table]] sections, or extends = \"default\"")
+        raise InvalidInputError('no table: expected [[table]] sections, or extends = "default"')
     name, text = document.get("name", "own"), document.get("text", "")
     return RiskTables(str(name), str(text), nodes, tuple(found.values()))
 
@@ -161,7 +168,7 @@ def tables_of(document: Mapping[str, Any], base: RiskTables | None = None) -> Ri
 def _table(entry: Mapping[str, Any], nodes: Mapping[str, float] | None) -> RiskTable:
     name = entry.get("name")
     if not isinstance(name, str) or not name:
-        raise InvalidInputError("a table has no name: expected name = \"…\" in each [[table]]")
+        raise InvalidInputError('a table has no name: expected name = "…" in each [[table]]')
     where = f"table '{name}'"
     allowed = ("name", "entity", "source", "unit", "mean", "scale", "used", "note", "rows")
     if unknown := [key for key in entry if key not in allowed]:
@@ -202,16 +209,16 @@ def _masses(
     if scale == "range":
         low, high = min(rates), max(rates)
         if not low < high:
-            raise InvalidInputError(f"{where}: scale = \"range\" and all rates are {low:g}: expected different ones")
-        at, over, first = _OF_RANGE, high - low, low
+            raise InvalidInputError(f'{where}: scale = "range" and all rates are {low:g}: expected different ones')
+        at, over, first = list(_OF_RANGE), high - low, low
     elif scale == "mean":
         if nodes is None:
             raise InvalidInputError(f"{where}: has rates and there are no nodes: expected a [nodes] section")
         if isinstance(mean, bool) or not isinstance(mean, int | float) or not 0.0 < mean < math.inf:
             raise InvalidInputError(f"{where}: mean is {mean!r}: expected the mean rate, above 0")
-        at, over, first = tuple(nodes[name] for name in _NODES), float(mean), 0.0
+        at, over, first = [nodes[name] for name in _NODES], float(mean), 0.0
     else:
-        raise InvalidInputError(f"{where}: scale is {scale!r}: expected \"mean\" or \"range\"")
+        raise InvalidInputError(f'{where}: scale is {scale!r}: expected "mean" or "range"')
     return [
         crossfade(np.array([(value - first) / over]), at)[0] if isinstance(value, float) else value for value in values
     ]
@@ -222,7 +229,7 @@ def _mass_or_rate(row: Mapping[str, Any]) -> float | FloatArray:
         raise InvalidInputError("expected either a mass or a rate")
     if "mass" in row:
         if not isinstance(row["mass"], Mapping):
-            raise InvalidInputError(f"mass is {row['mass']!r}: expected such as {{ MR = 0.3, \"LR|MR\" = 0.7 }}")
+            raise InvalidInputError(f'mass is {row["mass"]!r}: expected such as {{ MR = 0.3, "LR|MR" = 0.7 }}')
         return mass_of(row["mass"])
     rate = row["rate"]
     if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0.0 <= rate < math.inf:
@@ -274,7 +281,7 @@ def _nodes(given: Any) -> dict[str, float]:
         raise InvalidInputError(f"nodes: expected a relative rate for each of {', '.join(_NODES)}")
     nodes = {name: float(given[name]) for name in _NODES}
     rates = list(nodes.values())
-    if not all(low < high for low, high in zip(rates, rates[1:], strict=False)):
+    if not all(low < high for low, high in itertools.pairwise(rates)):
         raise InvalidInputError(f"nodes: {rates}: expected rates that rise from LR to HR")
     return nodes
 

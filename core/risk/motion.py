@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -51,7 +51,7 @@ def motion_at(
     """Motion at instants from a series of velocities.
 
     Velocity is linear between neighbours. Acceleration is its change over ``WINDOW_S`` around the instant, or over as
-    much of that as the series reaches without a gap. An instant in a gap is known only within half a window of a sample.
+    much of that as the series reaches without a gap. In a gap it is known only within half a window of a sample.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def motion_at(
     half = WINDOW_S / 2.0
     known = (t >= first - half) & (t <= last + half) & (last > first)
     low, high = np.clip(t - half, first, last), np.clip(t + half, first, last)
-    now, before, later = (_at(np.clip(x, first, last), at, v) for x in (t, low, high))
+    now, before, later = _at(np.clip(t, first, last), at, v), _at(low, at, v), _at(high, at, v)
     span = np.where(high > low, high - low, np.nan)
     change = (later - before) / span[:, None]
     course = before + later
@@ -95,5 +95,5 @@ def motion_at(
     )
 
 
-def _at(t: FloatArray, at: FloatArray, v: FloatArray) -> FloatArray:
+def _at(t: npt.NDArray[np.floating[Any]], at: FloatArray, v: FloatArray) -> FloatArray:
     return np.column_stack([np.interp(t, at, v[:, axis]) for axis in range(2)])

@@ -26,7 +26,7 @@ POSITION_HALF_CLASS_M: Final = 25.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VehicleRisk:
-    """Of n instants: the mass, the three systems' risks (0 low to 1 high), and how far each input was known (0 to 1)."""
+    """Of n instants: the mass, the three systems' risks (0 low to 1 high), and how far each input was known, 0 to 1."""
 
     mass: FloatArray
     speed_risk: FloatArray

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from core.earth import STANDARD_GRAVITY_MPS2, ned_offset_m
 from core.measurements import GNSS, FloatArray, TimeArray
@@ -16,12 +17,12 @@ from core.navigation.solution import SLOW, Solution
 from core.navigation.track import Mode, Track
 from core.risk.assessment import Assessment, RiskModel, assess
 from core.risk.driver import Driver
-from core.risk.environment import Environment, solar_offset_s
-from core.risk.motion import Motion, motion_at
-from core.risk.vehicle import Road
+from core.risk.environment import Environment, Road, solar_offset_s
+from core.risk.motion import WINDOW_S, Motion, motion_at
 from service.errors import UsageError
 from service.recordings.drive_folder import Drive
 from service.recordings.fusing import Fused, Outage, withhold
+from service.roads.protocol import RoadClass, RoadMatcher, Surroundings
 
 SOURCES: Final = ("fused", "raw", "reference")
 EVERY_NS: Final = 1_000_000_000
@@ -30,6 +31,22 @@ GNSS_SPEED_SD_MPS: Final = 0.1
 """Of a receiver that does not say its own: Doppler's, as simulated ones have it; a choice."""
 GNSS_POSITION_SD_M: Final = 5.0
 """The same of its position; a choice."""
+
+
+LEAST_SD_M: Final = 1.0
+"""Least sd of a position that is matched to a map, as maps are no better; a choice."""
+
+_PLACE: Final = ("lat_rad", "lon_rad", "position_sd_m", "course_rad")
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """When a drive is taken to have begun, if not when it says; how local time differs from UTC, if that is known."""
+
+    start_t_ns: int | None = None
+    utc_offset_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,17 +62,6 @@ class Instants:
     position_sd_m: FloatArray
     course_rad: FloatArray
     motion: Motion
-
-
-Roads = Callable[[Instants], Road]
-"""The road under each instant."""
-
-
-def unknown_roads(instants: Instants) -> Road:
-    """Without a map: nothing known."""
-    n = len(instants.t_ns)
-    nothing = np.full(n, "")
-    return Road(np.full(n, np.nan), nothing, nothing, np.zeros(n))
 
 
 def instants_of(drive: Drive) -> TimeArray:
@@ -121,15 +127,27 @@ def _by_solution(solution: Solution, t_ns: TimeArray, raw: Instants) -> Instants
     track = Track(track.t_ns[used], track.values[used])
     if len(track.t_ns) < 2:
         return raw
-    covariance, reached = covariance_at(solution, t_ns)
-    variance = np.where(reached[:, None], np.diagonal(covariance, axis1=1, axis2=2), np.nan)
-    position_sd, speed_sd, tilt_sd = (np.sqrt(variance[:, [i, i + 1]].mean(axis=1)) for i in (0, 3, 6))
+    position_sd, speed_sd, tilt_sd = _horizontal_sd(solution, t_ns)
     bias_sd = solution.slow_sd[:, [SLOW["accel_bias_x_mps2"], SLOW["accel_bias_y_mps2"]]].mean(axis=1)
-    acceleration_sd = np.hypot(STANDARD_GRAVITY_MPS2 * tilt_sd, _nearest(t_ns, solution.t_ns, bias_sd))
-    v_n = track.values[:, [3, 4]] if False else np.column_stack([track.column("vn_mps"), track.column("ve_mps")])
+    # Two bounds of the error of a change of velocity, of which the lesser holds. Errors of velocity a second apart go
+    # together, so that of the change is less than that of both; and it is less than what tilt and bias make of gravity,
+    # as these are known together better than either.
+    half_ns = round(0.5e9 * WINDOW_S)
+    ends = [_horizontal_sd(solution, t_ns + side * half_ns)[1] for side in (-1, 1)]
+    by_tilt = np.hypot(STANDARD_GRAVITY_MPS2 * tilt_sd, _nearest(t_ns, solution.t_ns, bias_sd))
+    acceleration_sd = np.fmin(np.hypot(*ends) / WINDOW_S, by_tilt)
+    v_n = np.column_stack([track.column("vn_mps"), track.column("ve_mps")])
     motion = motion_at(t_ns, track.t_ns, v_n, speed_sd, acceleration_sd)
     ours = _placed(t_ns, track.t_ns, track.column("lat_rad"), track.column("lon_rad"), v_n, position_sd, motion)
     return _first_known(ours, raw)
+
+
+def _horizontal_sd(solution: Solution, t_ns: TimeArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Sd of an axis of horizontal position (m), horizontal velocity (m/s) and tilt (rad), (n,); NaN without nodes."""
+    covariance, reached = covariance_at(solution, t_ns)
+    variance = np.where(reached[:, None], np.diagonal(covariance, axis1=1, axis2=2), np.nan)
+    position, velocity, tilt = (np.sqrt(variance[:, [i, i + 1]].mean(axis=1)) for i in (0, 3, 6))
+    return position, velocity, tilt
 
 
 def _first_known(one: Instants, other: Instants) -> Instants:
@@ -139,10 +157,10 @@ def _first_known(one: Instants, other: Instants) -> Instants:
     def chosen(a: FloatArray, b: FloatArray) -> FloatArray:
         return np.where(known, a, b)
 
-    names = ("speed_mps", "forward_mps2", "right_mps2", "speed_sd_mps", "acceleration_sd_mps2")
-    motion = Motion(*(chosen(getattr(one.motion, name), getattr(other.motion, name)) for name in names))
-    names = ("lat_rad", "lon_rad", "position_sd_m", "course_rad")
-    return Instants(one.t_ns, *(chosen(getattr(one, name), getattr(other, name)) for name in names), motion)
+    of_motion = [field.name for field in fields(Motion)]
+    motion = {name: chosen(getattr(one.motion, name), getattr(other.motion, name)) for name in of_motion}
+    places: dict[str, Any] = {name: chosen(getattr(one, name), getattr(other, name)) for name in _PLACE}
+    return replace(one, motion=Motion(**motion), **places)
 
 
 def _placed(
@@ -184,14 +202,13 @@ def _nearest(t_ns: TimeArray, at_ns: TimeArray, values: FloatArray) -> FloatArra
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssessedDrive:
-    """An assessment with what it was made from, and what was left out of it and why."""
+    """An assessment with what it was made from."""
 
     instants: Instants
     environment: Environment
-    road: Road
     assessment: Assessment
-    in_outage: np.ndarray[Any, np.dtype[np.bool_]]
-    left_out: tuple[str, ...]
+    in_outage: BoolArray
+    local_by_longitude: bool
 
 
 def assess_drive(
@@ -200,31 +217,49 @@ def assess_drive(
     driver: Driver,
     instants: Instants,
     outages: Sequence[Outage],
-    *,
-    utc_offset_s: float | None,
-    start_t_ns: int | None = None,
-    roads: Roads = unknown_roads,
+    matcher: RoadMatcher,
+    clock: Clock,
 ) -> AssessedDrive:
-    """Assess a drive's instants; ``start_t_ns`` moves the drive to another time, ``utc_offset_s`` makes it local."""
-    shift_ns = 0 if start_t_ns is None else start_t_ns - drive.start_t_ns
-    road = roads(instants)
-    placed = np.isfinite(instants.lon_rad)
-    offset_s = utc_offset_s
+    """Assess a drive's instants."""
+    placed = np.flatnonzero(np.isfinite(instants.lon_rad))
+    offset_s = clock.utc_offset_s
     if offset_s is None:
-        offset_s = solar_offset_s(float(instants.lon_rad[placed][0])) if placed.any() else 0.0
+        offset_s = solar_offset_s(float(instants.lon_rad[placed[0]])) if placed.size else 0.0
+    shift_ns = 0 if clock.start_t_ns is None else clock.start_t_ns - drive.start_t_ns
     environment = Environment(
         t_ns=instants.t_ns + shift_ns,
         utc_offset_s=offset_s,
         lat_rad=instants.lat_rad,
         lon_rad=instants.lon_rad,
-        road=road.road,
-        surroundings=road.surroundings,
-        district=np.full(len(placed), ""),
-        position_sd_m=road.position_sd_m,
+        road=road_under(instants, matcher),
     )
-    assessment = assess(model, driver, environment, instants.motion, road)
     t_s = drive.t_s(instants.t_ns)
     inside = np.zeros(len(t_s), np.bool_)
     for outage in outages:
         inside |= (t_s >= outage.start_s) & (t_s < outage.end_s)
-    return AssessedDrive(instants, environment, road, assessment, inside, ())
+    assessment = assess(model, driver, environment, instants.motion)
+    return AssessedDrive(instants, environment, assessment, inside, clock.utc_offset_s is None)
+
+
+def road_under(instants: Instants, matcher: RoadMatcher) -> Road:
+    """The road under each instant as the core's tables name it."""
+    if not matcher.known:
+        return Road.unknown(len(instants.t_ns))
+    sd_m = instants.position_sd_m
+    found = matcher.match(
+        instants.t_ns,
+        np.degrees(instants.lat_rad),
+        np.degrees(instants.lon_rad),
+        np.maximum(sd_m, LEAST_SD_M),
+        np.degrees(instants.course_rad) % 360.0,
+    )
+    kinds = np.array(["", *(kind.name.lower() for kind in list(RoadClass)[1:])])
+    surroundings = np.array(["", *(one.name.lower() for one in list(Surroundings)[1:])])
+    districts = np.array([*found.districts, ""])
+    return Road(
+        limit_kmh=found.limit_kmh,
+        kind=kinds[found.road_class],
+        surroundings=surroundings[found.surroundings],
+        district=districts[found.district_index],
+        position_sd_m=np.nan_to_num(sd_m, nan=0.0),
+    )

@@ -89,7 +89,7 @@ def _masses(sources: Sequence[Any], where: str) -> FloatArray:
     rows = []
     for i, source in enumerate(sources, 1):
         if not isinstance(source, Mapping):
-            raise UsageError(f'{where}: source {i} is {_kind(source)}; expected masses such as {{"MR": 0.3, "HR": 0.7}}')
+            raise UsageError(f'{where}: source {i} is {_kind(source)}; expected masses such as {{"MR": 1.0}}')
         try:
             rows.append(mass_of(source))
         except InvalidInputError as error:

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests import belief_definitions as definitions
 from core.errors import InvalidInputError
 from core.risk.belief import mass_of, named, vacuous
 from core.risk.combination import RULES, combine
+from tests import belief_definitions as definitions
 
 AGREES = 1e-12
 """Asked for; a sum of some hundred products of floats keeps some 1e-15."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +47,7 @@ def motion_at(
     v_n_mps: FloatArray,
     speed_sd_mps: FloatArray,
     acceleration_sd_mps2: FloatArray,
+    corrected: npt.NDArray[np.bool_] | None = None,
 ) -> Motion:
     """Motion at instants from a series of velocities.
 
@@ -58,6 +59,7 @@ def motion_at(
     t_ns : (n,)
     series_t_ns, v_n_mps : (m,) increasing, and (m, 2) or (m, 3) north, east(, down); rows of NaN count as missing
     speed_sd_mps, acceleration_sd_mps2 : (n,)
+    corrected : (m,) velocities that a filter corrected since the one before: that step is no acceleration
     """
     there = np.isfinite(v_n_mps[:, :2]).all(axis=1)
     base = int(t_ns[0]) if len(t_ns) else 0
@@ -76,10 +78,11 @@ def motion_at(
     first, last = at[starts[run]], at[ends[run]]
     half = WINDOW_S / 2.0
     known = (t >= first - half) & (t <= last + half) & (last > first)
-    low, high = np.clip(t - half, first, last), np.clip(t + half, first, last)
-    now, before, later = _at(np.clip(t, first, last), at, v), _at(low, at, v), _at(high, at, v)
+    middle, low, high = (np.clip(t + by, first, last) for by in (0.0, -half, half))
+    now, before, later = _at(middle, at, v), _at(low, at, v), _at(high, at, v)
+    driven = v if corrected is None else _without_corrections(at, v, corrected[there])
     span = np.where(high > low, high - low, np.nan)
-    change = (later - before) / span[:, None]
+    change = (_at(high, at, driven) - _at(low, at, driven)) / span[:, None]
     course = before + later
     length = np.hypot(course[:, 0], course[:, 1])
     along = np.divide(course, length[:, None], out=np.zeros_like(course), where=length[:, None] > 0.0)
@@ -95,5 +98,18 @@ def motion_at(
     )
 
 
-def _at(t: npt.NDArray[np.floating[Any]], at: FloatArray, v: FloatArray) -> FloatArray:
+def _without_corrections(at: FloatArray, v: FloatArray, corrected: npt.NDArray[np.bool_]) -> FloatArray:
+    """Velocity as if it had never been corrected: over a correction it changes as it did before and after."""
+    step_s = np.diff(at)
+    rate = np.diff(v, axis=0) / step_s[:, None]
+    good = np.flatnonzero(~corrected[1:])
+    if not good.size:
+        return v
+    bad = np.flatnonzero(corrected[1:])
+    for axis in range(rate.shape[1]):
+        rate[bad, axis] = np.interp(bad, good, rate[good, axis])
+    return np.vstack([v[:1], v[0] + np.cumsum(rate * step_s[:, None], axis=0)])
+
+
+def _at(t: FloatArray, at: FloatArray, v: FloatArray) -> FloatArray:
     return np.column_stack([np.interp(t, at, v[:, axis]) for axis in range(2)])

@@ -65,9 +65,11 @@ class VehicleModel:
         motion_risk = self.motion.infer(lateral=lateral, longitudinal=motion.forward_mps2)
         setting = self._setting(road.kind)
         limited = np.isfinite(excess)
-        risk = self.vehicle.infer(
+        joined = self.vehicle.infer(
             speed=np.where(limited, speed_risk, 0.0), motion=motion_risk, setting=np.nan_to_num(setting, nan=0.0)
         )
+        # What rounding leaves of a centroid at a node would be mass on the next proposition.
+        risk = np.round(joined, 12)
 
         half = self.numbers["half_class"]
         known = motion.known

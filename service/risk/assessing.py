@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
@@ -27,16 +26,17 @@ from service.roads.protocol import RoadClass, RoadMatcher, Surroundings
 SOURCES: Final = ("fused", "raw", "reference")
 EVERY_NS: Final = 1_000_000_000
 """An instant a second of the drive: as often as a receiver says where it is."""
-GNSS_SPEED_SD_MPS: Final = 0.1
-"""Of a receiver that does not say its own: Doppler's, as simulated ones have it; a choice."""
 GNSS_POSITION_SD_M: Final = 5.0
-"""The same of its position; a choice."""
+"""Of a receiver that does not say its own, for matching; a choice."""
 
 
+SETTLING_NS: Final = 3_000_000_000
+"""For how long after an outage corrections of the velocity are no acceleration: the first fixes set it right, later
+ones tell of the motion; a choice."""
 LEAST_SD_M: Final = 1.0
 """Least sd of a position that is matched to a map, as maps are no better; a choice."""
 
-_PLACE: Final = ("lat_rad", "lon_rad", "position_sd_m", "course_rad")
+_PLACE: Final = ("lat_rad", "lon_rad", "position_sd_m", "doubt_m", "course_rad")
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -53,13 +53,15 @@ class Clock:
 class Instants:
     """Where a vehicle was and how it moved at n instants, by one source; NaN where that does not say.
 
-    ``lat_rad``, ``lon_rad`` and ``position_sd_m`` are of the last place known.
+    ``lat_rad`` and ``lon_rad`` are of the last place known. ``doubt_m`` is the sd of a position as far as it makes the
+    road doubtful, ``position_sd_m`` that by which it is matched.
     """
 
     t_ns: TimeArray
     lat_rad: FloatArray
     lon_rad: FloatArray
     position_sd_m: FloatArray
+    doubt_m: FloatArray
     course_rad: FloatArray
     motion: Motion
 
@@ -94,24 +96,24 @@ def _by_reference(drive: Drive, t_ns: TimeArray) -> Instants:
         raise UsageError(f"{drive.name}: has no reference.csv; expected one for --source reference")
     exact = np.zeros(len(t_ns))
     motion = motion_at(t_ns, reference.t_ns, reference.v_n_mps, exact, exact)
-    return _placed(t_ns, reference.t_ns, reference.lat_rad, reference.lon_rad, reference.v_n_mps, exact, motion)
+    return _placed(t_ns, reference.t_ns, reference.lat_rad, reference.lon_rad, reference.v_n_mps, exact, exact, motion)
 
 
 def _by_gnss(drive: Drive, t_ns: TimeArray, outages: Sequence[Outage]) -> Instants:
-    """Fixes outside the outages alone; velocities as told, or from the positions."""
+    """Fixes outside the outages alone, taken for what they say, as in the paper: only their absence is doubt."""
     m = withhold(drive, outages)
     there = np.isfinite(m.gnss[:, [GNSS["lat_rad"], GNSS["lon_rad"]]]).all(axis=1)
     fixes, fix_t_ns = m.gnss[there], m.gnss_t_ns[there]
     if len(fixes) < 2:
         nothing = np.full(len(t_ns), np.nan)
-        return Instants(t_ns, nothing, nothing, nothing, nothing, Motion(*[nothing] * 5))
+        unmoved = Motion(nothing, nothing, nothing, nothing, nothing)
+        return Instants(t_ns, nothing.copy(), nothing.copy(), nothing, nothing, nothing, unmoved)
     v_n = _velocity(fixes, fix_t_ns)
-    sd = _nearest(t_ns, fix_t_ns, np.nan_to_num(fixes[:, GNSS["sd_v_mps"]], nan=GNSS_SPEED_SD_MPS))
-    # The change between two velocities a second apart has the error of both.
-    motion = motion_at(t_ns, fix_t_ns, v_n, sd, math.sqrt(2.0) * sd)
+    exact = np.zeros(len(t_ns))
+    motion = motion_at(t_ns, fix_t_ns, v_n, exact, exact)
     position_sd = _nearest(t_ns, fix_t_ns, np.nan_to_num(fixes[:, GNSS["sd_h_m"]], nan=GNSS_POSITION_SD_M))
     lat, lon = fixes[:, GNSS["lat_rad"]], fixes[:, GNSS["lon_rad"]]
-    placed = _placed(t_ns, fix_t_ns, lat, lon, v_n, position_sd, motion)
+    placed = _placed(t_ns, fix_t_ns, lat, lon, v_n, position_sd, exact, motion)
     # In an outage the last place known holds, as in the paper; before the first fix there is none.
     held = np.searchsorted(fix_t_ns, t_ns, side="right") - 1
     lost = ~motion.known
@@ -137,9 +139,17 @@ def _by_solution(solution: Solution, t_ns: TimeArray, raw: Instants) -> Instants
     by_tilt = np.hypot(STANDARD_GRAVITY_MPS2 * tilt_sd, _nearest(t_ns, solution.t_ns, bias_sd))
     acceleration_sd = np.fmin(np.hypot(*ends) / WINDOW_S, by_tilt)
     v_n = np.column_stack([track.column("vn_mps"), track.column("ve_mps")])
-    motion = motion_at(t_ns, track.t_ns, v_n, speed_sd, acceleration_sd)
-    ours = _placed(t_ns, track.t_ns, track.column("lat_rad"), track.column("lon_rad"), v_n, position_sd, motion)
+    motion = motion_at(t_ns, track.t_ns, v_n, speed_sd, acceleration_sd, _set_right(track))
+    lat, lon = track.column("lat_rad"), track.column("lon_rad")
+    ours = _placed(t_ns, track.t_ns, lat, lon, v_n, position_sd, position_sd, motion)
     return _first_known(ours, raw)
+
+
+def _set_right(track: Track) -> BoolArray:
+    """Rows at which a fix set right what had run away without any, (m,)."""
+    coasted_ns = np.where(track.column("mode") == Mode.COASTING, track.t_ns, track.t_ns[0] - SETTLING_NS - 1)
+    since_ns = track.t_ns - np.maximum.accumulate(coasted_ns)
+    return np.asarray((track.column("gnss_used") > 0.0) & (since_ns <= SETTLING_NS))
 
 
 def _horizontal_sd(solution: Solution, t_ns: TimeArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -170,6 +180,7 @@ def _placed(
     lon_rad: FloatArray,
     v_n: FloatArray,
     position_sd_m: FloatArray,
+    doubt_m: FloatArray,
     motion: Motion,
 ) -> Instants:
     t, at = (t_ns - t_ns[0]).astype(float), (at_ns - t_ns[0]).astype(float)
@@ -177,7 +188,7 @@ def _placed(
     moving = np.isfinite(v_n[:, :2]).all(axis=1)
     north, east = (np.interp(t, at[moving], v_n[moving, axis]) if moving.any() else np.zeros(len(t)) for axis in (0, 1))
     course = np.where(motion.known, np.arctan2(east, north), np.nan)
-    return Instants(t_ns, np.interp(t, at, lat_rad), lon, position_sd_m, course, motion)
+    return Instants(t_ns, np.interp(t, at, lat_rad), lon, position_sd_m, doubt_m, course, motion)
 
 
 def _velocity(fixes: FloatArray, t_ns: TimeArray) -> FloatArray:
@@ -261,5 +272,5 @@ def road_under(instants: Instants, matcher: RoadMatcher) -> Road:
         kind=kinds[found.road_class],
         surroundings=surroundings[found.surroundings],
         district=districts[found.district_index],
-        position_sd_m=np.nan_to_num(sd_m, nan=0.0),
+        position_sd_m=np.nan_to_num(instants.doubt_m, nan=0.0),
     )

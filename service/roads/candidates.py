@@ -63,13 +63,10 @@ def candidates(
     at = shapely.points(points)
     point, line = shapely.STRtree(lines).query(at, predicate="dwithin", distance=reach)
     along = shapely.line_locate_point(lines[line], at[point])
-    nearest = _on(lines[line], along)
+    nearest = on_lines(lines[line], along)
     away = nearest - points[point]
     misfit = np.einsum("ki,kij,kj->k", away, np.linalg.inv(spread)[point], away)
-    ahead = _on(lines[line], along + _HALF_PIECE_M) - _on(lines[line], np.maximum(along - _HALF_PIECE_M, 0.0))
-    turned = np.degrees(np.arctan2(ahead[:, 0], ahead[:, 1])) - heading_deg[point]
-    turned = np.abs((turned + 90.0) % 180.0 - 90.0)  # either direction along the road
-    off = np.minimum(np.nan_to_num(turned) / HEADING_SD_DEG, HEADING_WORST)
+    off = heading_misfit(lines[line], along, heading_deg[point])
     seldom = np.isin(network.road_class[rows[line]], (RoadClass.SERVICE, RoadClass.TRACK))
     weight = np.exp(-0.5 * (misfit + off**2)) * np.where(seldom, SELDOM, 1.0)
     return Candidates(point, rows[line], weight, np.hypot(*away.T), nearest / scale + centre)
@@ -86,5 +83,18 @@ def confidence(network: RoadNetwork, found: Candidates, row: IntArray) -> FloatA
     return np.divide(mine, total, out=np.zeros(n), where=(total > 0.0) & (row != NO_NAME))
 
 
-def _on(lines: Any, along_m: FloatArray) -> FloatArray:
+def heading_misfit(lines: Any, along_m: FloatArray, heading_deg: FloatArray, one_way: bool = False) -> FloatArray:
+    """By how many standard deviations headings (k,) are off the lines' at places on them; 0 where not known.
+
+    A road may be driven either way, unless ``one_way``: along the line.
+    """
+    ahead = on_lines(lines, along_m + _HALF_PIECE_M) - on_lines(lines, np.maximum(along_m - _HALF_PIECE_M, 0.0))
+    half_turn = 180.0 if one_way else 90.0
+    off = np.degrees(np.arctan2(ahead[:, 0], ahead[:, 1])) - heading_deg
+    off = np.abs((off + half_turn) % (2 * half_turn) - half_turn)
+    return np.minimum(np.nan_to_num(off) / HEADING_SD_DEG, HEADING_WORST)
+
+
+def on_lines(lines: Any, along_m: FloatArray) -> FloatArray:
+    """The points (k, 2) at distances along lines."""
     return np.asarray(shapely.get_coordinates(shapely.line_interpolate_point(lines, along_m))).reshape(-1, 2)

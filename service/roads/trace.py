@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import valhalla
 
 from service.roads.candidates import ROAD_SD_M, candidates, confidence
 from service.roads.districts import Districts
 from service.roads.folder import RoadFolder
 from service.roads.network import RoadNetwork
+from service.roads.path import MatchedPath
 from service.roads.protocol import (
     NO_NAME,
     NO_WAY,
@@ -25,19 +25,20 @@ from service.roads.protocol import (
     RoadPlace,
     Surroundings,
 )
-from service.roads.tiles import FARTHEST_M, actor
+from service.roads.tiles import FARTHEST_M, NOT_FOUND, actor
 
 SPREADS_M: Final = (4.0, 8.0, 16.0, 32.0)
 """Spreads of positions that the matcher is set up for; a stretch is matched by the one that fits it."""
 RADIUS_SD: Final = 3.0
 _RADIUS_M: Final = (25.0, FARTHEST_M)
 _ATTRIBUTES: Final = (
+    "shape",
+    "edge.begin_shape_index",
+    "edge.end_shape_index",
     "edge.way_id",
     "edge.forward",
-    "matched.point",
     "matched.type",
     "matched.edge_index",
-    "matched.distance_from_trace_point",
 )
 
 
@@ -64,7 +65,7 @@ class Tracer:
     ) -> MatchedPoints:
         """The roads under a stretch of some minutes; every position is finite."""
         place = np.column_stack([lon_deg, lat_deg])
-        row, forward, on_road, distance = self._trace(t_ns, place, sd_m)
+        row, forward, on_road, distance = self._trace(t_ns, place, sd_m, heading_deg)
         near = candidates(self.network, place, sd_m[:, None, None] ** 2 * np.eye(2), heading_deg)
         return self._told(place, row, forward, on_road, distance, confidence(self.network, near, row))
 
@@ -81,7 +82,7 @@ class Tracer:
         return RoadPlace.of(self._told(place, row, forward, on_road, distance, confidence(self.network, near, row)), 0)
 
     def _trace(
-        self, t_ns: IntArray, place: FloatArray, sd_m: FloatArray
+        self, t_ns: IntArray, place: FloatArray, sd_m: FloatArray, heading_deg: FloatArray
     ) -> tuple[IntArray, BoolArray, FloatArray, FloatArray]:
         """Of each point the row of its way, whether it is driven forward, the point on it, and how far that is."""
         n = t_ns.size
@@ -106,16 +107,14 @@ class Tracer:
         }
         try:
             told = self._actor(float(np.sqrt(np.mean(np.hypot(sd_m, ROAD_SD_M) ** 2)))).trace_attributes(request)
-        except valhalla._valhalla.ValhallaError:  # no road there, or no way from one to the next
+        except NOT_FOUND:  # no road there, or no way from one to the next
             return row, forward, on_road, distance
-        edges = told["edges"]
-        rows = self.network.rows_of(np.array([edge["way_id"] for edge in edges], np.int64))
-        for index, point in enumerate(told["matched_points"]):
-            edge = point.get("edge_index", len(edges))
-            if point["type"] != "unmatched" and edge < len(edges):
-                row[index], forward[index] = rows[edge], edges[edge]["forward"]
-                on_road[index] = point["lon"], point["lat"]
-                distance[index] = point["distance_from_trace_point"]
+        path = MatchedPath.of(told, place)
+        rows = self.network.rows_of(np.array([edge["way_id"] for edge in told["edges"]], np.int64))
+        along = np.array([edge["forward"] for edge in told["edges"]])
+        on = path.edge != NO_NAME
+        edge, on_road[on], distance[on] = path.nearest(np.flatnonzero(on), sd_m, heading_deg)
+        row[on], forward[on] = rows[edge], along[edge]
         return row, forward, on_road, distance
 
     def _actor(self, spread_m: float) -> Any:

@@ -64,7 +64,9 @@ def _geojson(positions: Positions, matched: MatchedPoints, start_t_ns: int) -> b
     for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         if matched.way_id[first] == NO_WAY:
             continue
-        line = np.round(np.column_stack([matched.lon_deg, matched.lat_deg])[first:last], 7).tolist()
+        # On to the next way's first position, so that a drive is one line, where it goes on there.
+        end = last + 1 if last < len(matched) and matched.way_id[last] != NO_WAY else last
+        line = np.round(np.column_stack([matched.lon_deg, matched.lat_deg])[first:end], 7).tolist()
         t_s = (positions.t_ns[[first, last - 1]] - start_t_ns) / 1e9
         facts = RoadPlace.of(matched, first).json() | {
             "from_t_s": round(float(t_s[0]), 3),

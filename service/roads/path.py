@@ -34,8 +34,11 @@ class MatchedPath:
         centre = lon_lat_deg.mean(axis=0)
         scale = M_PER_DEG * np.array([np.cos(np.radians(centre[1])), 1.0])
         shape = (decoded(told["shape"]) - centre) * scale
+        spans = [(one["begin_shape_index"], one["end_shape_index"]) for one in told["edges"]]
+        # An edge that is only touched has one point, which makes no line.
         lines = [
-            shapely.LineString(shape[one["begin_shape_index"] : one["end_shape_index"] + 1]) for one in told["edges"]
+            shapely.LineString(shape[first : last + 1] if last > first else shape[[first, first]])
+            for first, last in spans
         ]
         on = np.array([one["type"] != "unmatched" for one in told["matched_points"]])
         edge = np.array([min(one.get("edge_index", count), count) for one in told["matched_points"]], np.int64)

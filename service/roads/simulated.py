@@ -34,6 +34,7 @@ _NO_LIMIT_KMH: Final = 130.0
 _UNKNOWN_LIMIT_KMH: Final = 50.0
 _REVERSAL_DEG: Final = 140.0
 """A route that turns back on itself more sharply is given up there."""
+_SAME_PLACE_M: Final = 1.0
 _TRIES: Final = 25
 _LEGS: Final = 2000
 _EDGE: Final = (
@@ -207,7 +208,8 @@ class _StreetRoutes:
         start = {"lat": float(lat1), "lon": float(lon1), "heading": round(heading), "heading_tolerance": 30}
         for _ in range(_TRIES):
             leg = self._leg(start, place())
-            if leg is not None:
+            # Where no road goes on in its direction, Valhalla begins on another one near by.
+            if leg is not None and _apart_m(drawn.lon_lat_deg[-1], leg.lon_lat_deg[0]) < _SAME_PLACE_M:
                 kept = _before_reversal(_joined([drawn, leg]))
                 if len(kept.lon_lat_deg) >= len(drawn.lon_lat_deg) + len(leg.lon_lat_deg) - 2:
                     return kept
@@ -232,6 +234,11 @@ class _StreetRoutes:
     def _limits_mps(self, drawn: _Drawn) -> FloatArray:
         limit = self._network.limit_kmh[drawn.row, np.where(drawn.forward, 0, 1)]
         return np.nan_to_num(np.minimum(limit, _NO_LIMIT_KMH), nan=_UNKNOWN_LIMIT_KMH) / 3.6
+
+
+def _apart_m(one_deg: FloatArray, other_deg: FloatArray) -> float:
+    (lon_a, lat_a), (lon_b, lat_b) = np.radians([one_deg, other_deg])
+    return float(horizontal_distance_m(lat_a, lon_a, lat_b, lon_b))
 
 
 def _lengths_m(drawn: _Drawn) -> FloatArray:

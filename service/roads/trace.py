@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from service.roads.candidates import ROAD_SD_M, candidates, confidence
+from service.roads.candidates import candidates, confidence
 from service.roads.districts import Districts
 from service.roads.folder import RoadFolder
 from service.roads.network import RoadNetwork
@@ -25,6 +25,7 @@ from service.roads.protocol import (
     RoadPlace,
     Surroundings,
 )
+from service.roads.segments import ROAD_SD_M, Frame, Segments
 from service.roads.tiles import FARTHEST_M, NOT_FOUND, actor
 
 SPREADS_M: Final = (4.0, 8.0, 16.0, 32.0)
@@ -125,13 +126,14 @@ class Tracer:
 
     def _goes_forward(self, row: int, on_road: FloatArray, heading_deg: float) -> bool:
         """Whether a heading goes along the way's own direction, by the piece nearest to a point on it."""
-        nodes = self.network.nodes_of(row)
-        scale = np.array([np.cos(np.radians(on_road[1])), 1.0])
-        pieces = np.diff(nodes, axis=0) * scale
-        middle = (nodes[:-1] + nodes[1:]) / 2
-        piece = pieces[np.argmin(np.hypot(*((middle - on_road) * scale).T))]
+        nodes, first, last = self.network.nodes_of(np.array([row]))
+        frame = Frame.about(on_road[None])
+        pieces = Segments.of(frame.metres(nodes), first, last)
+        every = np.arange(pieces.line.size)
+        nearest = int(np.argmin(np.hypot(*pieces.projected(np.zeros((every.size, 2)), every).T)))
+        east, north = pieces.end[nearest] - pieces.start[nearest]
         heading = np.radians(heading_deg)
-        return bool(np.isnan(heading) or piece[0] * np.sin(heading) + piece[1] * np.cos(heading) >= 0.0)
+        return bool(np.isnan(heading) or east * np.sin(heading) + north * np.cos(heading) >= 0.0)
 
     def _told(
         self,

@@ -16,7 +16,9 @@ def at(x_m, y_m):
     return LON0 + x_m / M_PER_DEG_LON, LAT0 + y_m / M_PER_DEG
 
 
-MAIN, RURAL, MPH, PARALLEL, MOTORWAY, TWO_LIMITS, TUNNEL, WALK, BORDER, FOOTWAY, LOOP, NONSENSE, SERVICE = range(101, 114)
+MAIN, RURAL, MPH, PARALLEL, MOTORWAY, TWO_LIMITS, TUNNEL, WALK, BORDER, FOOTWAY, LOOP, NONSENSE, SERVICE = range(
+    101, 114
+)
 
 STREETS = {
     MAIN: ([(x, 0) for x in range(0, 2001, 250)], {"highway": "primary", "name": "Hauptweg", "maxspeed": "50"}),
@@ -33,7 +35,13 @@ STREETS = {
     ),
     TUNNEL: (
         [(1500, 600), (2000, 600), (2400, 600)],
-        {"highway": "secondary", "name": "Tunnelweg", "tunnel": "yes", "maxspeed": "XY:urban", "source:maxspeed": "FI:urban"},
+        {
+            "highway": "secondary",
+            "name": "Tunnelweg",
+            "tunnel": "yes",
+            "maxspeed": "XY:urban",
+            "source:maxspeed": "FI:urban",
+        },
     ),
     WALK: ([(0, 0), (0, 60)], {"highway": "living_street", "name": "Spielgasse", "maxspeed": "walk"}),
     BORDER: ([(1000, 0), (1000, 60), (1000, 600)], {"highway": "residential", "name": "Grenzstraße"}),
@@ -54,6 +62,8 @@ _BORDERS = {
     206: [(4800, 1400), (4800, 0), (4800, -1400)],
 }
 """Lines by way id. The last one leaves the map at both ends, like that of a district that the extract cuts off."""
+_BUILT_UP = {401: [(800, -80), (1200, -80), (1200, 80), (800, 80), (800, -80)]}
+"""Where the middle of the Hauptweg lies; its streets are too few to tell."""
 _RELATIONS = {
     COUNTRY: ([201], {"admin_level": "2", "name": "Nordland", "ISO3166-1": "FI"}),
     WEST: ([202, 203, 204], {"admin_level": "9", "name": "Westviertel"}),
@@ -73,6 +83,7 @@ def write_map(path, streets=None, **tags_of):
     nodes, ways = {}, []
     lines = [(way, *street) for way, street in (STREETS if streets is None else streets).items()]
     lines += [(way, line, {"boundary": "administrative"}) for way, line in _BORDERS.items()]
+    lines += [(way, line, {"landuse": "residential"}) for way, line in _BUILT_UP.items()]
     for way, line, tags in lines:
         refs = [nodes.setdefault(place, 1000 + len(nodes)) for place in line]
         ways.append(osmium.osm.mutable.Way(id=way, version=1, nodes=refs, tags=tags))

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from service.roads.candidates import candidates, confidence
+from service.roads.candidates import Candidates, candidates, confidence
 from service.roads.districts import Districts
 from service.roads.folder import RoadFolder
 from service.roads.network import RoadNetwork
@@ -66,21 +66,31 @@ class Tracer:
     ) -> MatchedPoints:
         """The roads under a stretch of some minutes; every position is finite."""
         place = np.column_stack([lon_deg, lat_deg])
-        row, forward, on_road, distance = self._trace(t_ns, place, sd_m, heading_deg)
         near = candidates(self.network, place, sd_m[:, None, None] ** 2 * np.eye(2), heading_deg)
+        if t_ns.size == 1:  # is no trace
+            row, forward, on_road, distance = self._likeliest(near, heading_deg)
+        else:
+            row, forward, on_road, distance = self._trace(t_ns, place, sd_m, heading_deg)
         return self._told(place, row, forward, on_road, distance, confidence(self.network, near, row))
 
     def place(self, lon_lat_deg: FloatArray, covariance_en_m2: FloatArray, heading_deg: float) -> RoadPlace:
         """The likeliest road at one place; its covariance is of east and north, the heading NaN if not known."""
         place = lon_lat_deg.reshape(1, 2)
         near = candidates(self.network, place, covariance_en_m2.reshape(1, 2, 2), np.array([heading_deg]))
+        row, forward, on_road, distance = self._likeliest(near, np.array([heading_deg]))
+        return RoadPlace.of(self._told(place, row, forward, on_road, distance, confidence(self.network, near, row)), 0)
+
+    def _likeliest(
+        self, near: Candidates, heading_deg: FloatArray
+    ) -> tuple[IntArray, BoolArray, FloatArray, FloatArray]:
+        """Of one point what ``_trace`` says of many: the candidate of most weight."""
         row, forward = np.array([NO_NAME]), np.array([True])
         on_road, distance = np.full((1, 2), np.nan), np.array([np.nan])
         if near.row.size:
             best = int(np.argmax(near.weight))
             row[0], on_road[0], distance[0] = near.row[best], near.lon_lat_deg[best], near.distance_m[best]
-            forward[0] = self._goes_forward(int(row[0]), on_road[0], heading_deg)
-        return RoadPlace.of(self._told(place, row, forward, on_road, distance, confidence(self.network, near, row)), 0)
+            forward[0] = self._goes_forward(int(row[0]), on_road[0], float(heading_deg[0]))
+        return row, forward, on_road, distance
 
     def _trace(
         self, t_ns: IntArray, place: FloatArray, sd_m: FloatArray, heading_deg: FloatArray

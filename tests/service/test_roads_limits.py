@@ -32,7 +32,9 @@ def test_signs_are_read_in_their_units(text, kmh):
     assert parse_maxspeed(text) == pytest.approx(kmh)
 
 
-@pytest.mark.parametrize("text", ["0", "999", "-30", "fast", "", "signals", "variable", "1e9", "30 furlongs", "٣٠ mph?"])
+@pytest.mark.parametrize(
+    "text", ["0", "999", "-30", "fast", "", "signals", "variable", "1e9", "30 furlongs", "٣٠ mph?"]
+)
 def test_what_no_sign_can_say_is_no_limit(text):
     assert math.isnan(parse_maxspeed(text))
 

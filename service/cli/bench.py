@@ -13,7 +13,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from service.bench import calibration, calibration_report, kernel, load, navigation, navigation_report, report, stages
+from service.bench import (
+    calibration,
+    calibration_report,
+    kernel,
+    load,
+    navigation,
+    navigation_report,
+    report,
+    roads,
+    stages,
+)
 from service.bench.fleet import record_drives
 from service.bench.target import Address
 from service.cli.ending import unwinding_on_sigterm
@@ -60,6 +70,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="measure the calibration instead: its minimiser beside SciPy's, simulated units against their truth,"
         " public recordings against what other programs found; beside what is asked of each",
     )
+    instead.add_argument(
+        "--roads",
+        type=Path,
+        metavar="ROADS",
+        help="measure road matching instead, by simulated drives on a folder that 'telefuse roads build' made",
+    )
     parser.add_argument(
         "--part",
         action="append",
@@ -77,9 +93,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--drives",
-        type=Path,
-        metavar="DIR",
-        help="with --navigation: where the recorded drives are (default: ../shared/drives beside the checkout;"
+        metavar="DIR|N",
+        help=f"with --roads: how many drives (default {roads.DRIVES}); with --navigation: where the recorded"
+        " drives are (default: ../shared/drives beside the checkout;"
         " the part 'real' is left out where there are none)",
     )
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
@@ -105,8 +121,14 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.navigation:
         with _Phases() as phases:
-            found = navigation.measure(arguments.part, arguments.drives, phases.tell)
+            found = navigation.measure(arguments.part, _folder(arguments.drives), phases.tell)
         print(json.dumps(found) if arguments.json else navigation_report.tables(found))
+        return 0
+    if arguments.roads is not None:
+        count = _count(arguments.drives)
+        with _Phases() as phases:
+            found = roads.measure(arguments.roads, count, phases.tell)
+        print(json.dumps(found) if arguments.json else roads.tables(found))
         return 0
     if arguments.calibration:
         with _Phases() as phases:
@@ -128,6 +150,18 @@ def run(arguments: argparse.Namespace) -> int:
         sys.stderr.write(f"telefuse bench: {'; '.join(shortfalls)}\n")
         return FELL_SHORT
     return 0
+
+
+def _folder(drives: str | None) -> Path | None:
+    return None if drives is None else Path(drives)
+
+
+def _count(drives: str | None) -> int:
+    if drives is None:
+        return roads.DRIVES
+    if not drives.isdecimal():
+        raise UsageError(f"--drives {drives}: expected a number of drives with --roads")
+    return int(drives)
 
 
 @contextmanager

@@ -51,11 +51,12 @@ def build(
         with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as scratch:
             made = RoadFolder(Path(scratch) / "roads")
             made.path.mkdir()
+            tell("limits and districts", 0.0, 1.0)
+            manifest = _write_ways(extract, made, defaults, country, district_level)
             tell("building tiles", 0.0, 1.0)
             build_tiles(path, made.tiles, Path(scratch))
-            tell("districts and limits", 0.0, 1.0)
-            manifest = _write_ways(extract, made, defaults, country, district_level)
-            tell("districts and limits", 1.0, 1.0)
+            made.write_manifest(manifest)
+            tell("building tiles", 1.0, 1.0)
             if out.exists():
                 out.rename(Path(scratch) / "before")
             made.path.rename(out)
@@ -89,7 +90,7 @@ def _write_ways(
         names=roads.names,
     ).write(made.ways)
     districts.write(made.districts)
-    manifest = Manifest(
+    return Manifest(
         format=FORMAT,
         extract=extract.path.name,
         extract_sha256=extract.sha256,
@@ -103,8 +104,6 @@ def _write_ways(
         districts=len(set(districts.names)),
         valhalla=version(),
     )
-    made.write_manifest(manifest)
-    return manifest
 
 
 def countries_of(extract: Extract, fallback: str | None) -> tuple[tuple[str, ...], IntArray]:

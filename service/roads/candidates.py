@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import shapely
 
 from service.roads.network import RoadNetwork
 from service.roads.protocol import NO_NAME, FloatArray, IntArray, RoadClass
+from service.roads.segments import ROAD_SD_M, Frame, Segments, first_of_each
 
-M_PER_DEG: Final = 111_200.0
-ROAD_SD_M: Final = 3.0
-"""How far a car is from its road's line in the map: a lane and the mapper's accuracy; a choice."""
-HEADING_SD_DEG: Final = 15.0
-"""How far a car's heading is from its road's: lane changes, curves drawn as corners; a choice."""
-HEADING_WORST: Final = 3.0
-"""A heading speaks against a road as much as this many standard deviations at most: cars turn and park."""
 SELDOM: Final = 0.25
 """What a service road or track weighs against a street at the same distance; a choice."""
 REACH_SD: Final = 4.0
 _REACH_M: Final = 25.0
-_HALF_PIECE_M: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,28 +44,27 @@ def candidates(
     covariance_en_m2 : (n, 2, 2), east and north
     heading_deg : (n,), NaN where not known
     """
-    centre = lon_lat_deg.mean(axis=0)
-    scale = M_PER_DEG * np.array([np.cos(np.radians(centre[1])), 1.0])
-    spread = covariance_en_m2 + ROAD_SD_M**2 * np.eye(2)
+    frame = Frame.about(lon_lat_deg)
+    points = frame.metres(lon_lat_deg)
+    spread = np.linalg.inv(covariance_en_m2 + ROAD_SD_M**2 * np.eye(2))
     reach = _REACH_M + REACH_SD * np.sqrt(np.linalg.eigvalsh(covariance_en_m2)[:, 1])
-    margin = float(reach.max()) / scale
-    low, high = lon_lat_deg.min(axis=0) - margin, lon_lat_deg.max(axis=0) + margin
+    low, high = frame.degrees(points - reach[:, None]).min(axis=0), frame.degrees(points + reach[:, None]).max(axis=0)
     rows = network.within((float(low[0]), float(low[1]), float(high[0]), float(high[1])))
-    lines = np.array([shapely.LineString((network.nodes_of(row) - centre) * scale) for row in rows], dtype=object)
-    points = (lon_lat_deg - centre) * scale
-    at = shapely.points(points)
-    point, line = shapely.STRtree(lines).query(at, predicate="dwithin", distance=reach)
-    along = shapely.line_locate_point(lines[line], at[point])
-    nearest = _on(lines[line], along)
+    nodes, first, last = network.nodes_of(rows)
+    pieces = Segments.of(frame.metres(nodes), first, last)
+    tree = shapely.STRtree(shapely.linestrings(np.stack([pieces.start, pieces.end], axis=1)))
+    point, piece = tree.query(shapely.points(points), predicate="dwithin", distance=reach)
+    nearest = pieces.projected(points[point], piece)
     away = nearest - points[point]
-    misfit = np.einsum("ki,kij,kj->k", away, np.linalg.inv(spread)[point], away)
-    ahead = _on(lines[line], along + _HALF_PIECE_M) - _on(lines[line], np.maximum(along - _HALF_PIECE_M, 0.0))
-    turned = np.degrees(np.arctan2(ahead[:, 0], ahead[:, 1])) - heading_deg[point]
-    turned = np.abs((turned + 90.0) % 180.0 - 90.0)  # either direction along the road
-    off = np.minimum(np.nan_to_num(turned) / HEADING_SD_DEG, HEADING_WORST)
+    misfit = np.einsum("ki,kij,kj->k", away, spread[point], away)
+    misfit += pieces.heading_misfit(piece, heading_deg[point]) ** 2
+    line = pieces.line[piece]
+    order = np.lexsort((misfit, line, point))
+    best = order[first_of_each((point * max(rows.size, 1) + line)[order])]
+    point, line, away = point[best], line[best], away[best]
     seldom = np.isin(network.road_class[rows[line]], (RoadClass.SERVICE, RoadClass.TRACK))
-    weight = np.exp(-0.5 * (misfit + off**2)) * np.where(seldom, SELDOM, 1.0)
-    return Candidates(point, rows[line], weight, np.hypot(*away.T), nearest / scale + centre)
+    weight = np.exp(-0.5 * misfit[best]) * np.where(seldom, SELDOM, 1.0)
+    return Candidates(point, rows[line], weight, np.hypot(*away.T), frame.degrees(nearest[best]))
 
 
 def confidence(network: RoadNetwork, found: Candidates, row: IntArray) -> FloatArray:
@@ -84,7 +76,3 @@ def confidence(network: RoadNetwork, found: Candidates, row: IntArray) -> FloatA
     same = road[found.row] == own[found.point]
     mine = np.bincount(found.point[same], found.weight[same], n)
     return np.divide(mine, total, out=np.zeros(n), where=(total > 0.0) & (row != NO_NAME))
-
-
-def _on(lines: Any, along_m: FloatArray) -> FloatArray:
-    return np.asarray(shapely.get_coordinates(shapely.line_interpolate_point(lines, along_m))).reshape(-1, 2)

@@ -44,9 +44,12 @@ class RoadNetwork:
         low, high = self.bounds_deg[:, :2], self.bounds_deg[:, 2:]
         return np.flatnonzero((low[:, 0] <= east) & (high[:, 0] >= west) & (low[:, 1] <= north) & (high[:, 1] >= south))
 
-    def nodes_of(self, row: int) -> FloatArray:
-        """Longitude and latitude of a way's nodes, (k, 2)."""
-        return np.asarray(self.lon_lat_deg[self.first_node[row] : self.first_node[row + 1]])
+    def nodes_of(self, rows: IntArray) -> tuple[FloatArray, IntArray, IntArray]:
+        """Longitude and latitude of some ways' nodes, (k, 2), and of each way the first and the last of them."""
+        count = self.first_node[rows + 1] - self.first_node[rows]
+        first = np.cumsum(count) - count
+        at = np.repeat(self.first_node[rows] - first, count) + np.arange(int(count.sum()))
+        return np.asarray(self.lon_lat_deg[at]), first, first + count - 1
 
     def write(self, folder: Path) -> None:
         """A file a column."""

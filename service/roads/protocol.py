@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any, Final, Protocol
 
@@ -112,11 +112,8 @@ class MatchedPoints:
 
     def at(self, rows: IntArray) -> MatchedPoints:
         """Some of the points, by their indices, which may repeat."""
-        return MatchedPoints(
-            *(getattr(self, name)[rows] for name in self.__slots__ if name not in ("streets", "districts")),
-            streets=self.streets,
-            districts=self.districts,
-        )
+        names = [name for name in self.__slots__ if name not in ("streets", "districts")]
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     @classmethod
     def joined(cls, parts: Sequence[MatchedPoints]) -> MatchedPoints:

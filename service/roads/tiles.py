@@ -8,12 +8,16 @@ import tempfile
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import valhalla
 
 from service.errors import UsageError
+from service.roads.protocol import FloatArray
 
 FARTHEST_M: Final = 200.0
 """How far from a position its road is looked for at most."""
+NOT_FOUND: Final = RuntimeError
+"""What an actor raises where it finds no road or no way; newer versions raise a kind of it."""
 _BINARIES: Final = Path(valhalla.__file__).parent / "bin"
 
 
@@ -57,6 +61,7 @@ def build_tiles(extract: Path, tiles: Path, scratch: Path) -> None:
             text=True,
             errors="replace",
             check=False,
+            cwd=scratch,  # it leaves lists of what it found odd where it runs
         )
         if done.returncode != 0:
             lines = [line for line in (done.stderr or done.stdout).splitlines() if line.strip()]
@@ -66,3 +71,16 @@ def build_tiles(extract: Path, tiles: Path, scratch: Path) -> None:
             raise UsageError(f"{extract}: {program} ended with {done.returncode}: {said.strip()}")
     if next(tiles.rglob("*.gph"), None) is None:
         raise UsageError(f"{extract}: no road tiles came of it; expected an extract with roads for cars")
+
+
+def decoded(polyline: str) -> FloatArray:
+    """Points (n, 2), longitude and latitude, of Google's polyline with six decimals, as Valhalla writes it."""
+    numbers, value, shift = [], 0, 0
+    for character in polyline:
+        bits = ord(character) - 63
+        value |= (bits & 0x1F) << shift
+        shift += 5
+        if bits < 0x20:
+            numbers.append(~(value >> 1) if value & 1 else value >> 1)
+            value, shift = 0, 0
+    return np.cumsum(np.array(numbers, np.int64).reshape(-1, 2), axis=0)[:, ::-1] / 1e6

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import valhalla
 
-from service.roads.candidates import ROAD_SD_M, candidates, confidence
+from service.roads.candidates import Candidates, candidates, confidence
 from service.roads.districts import Districts
 from service.roads.folder import RoadFolder
 from service.roads.network import RoadNetwork
+from service.roads.path import MatchedPath
 from service.roads.protocol import (
     NO_NAME,
     NO_WAY,
@@ -25,19 +25,21 @@ from service.roads.protocol import (
     RoadPlace,
     Surroundings,
 )
-from service.roads.tiles import FARTHEST_M, actor
+from service.roads.segments import ROAD_SD_M, Frame, Segments
+from service.roads.tiles import FARTHEST_M, NOT_FOUND, actor
 
 SPREADS_M: Final = (4.0, 8.0, 16.0, 32.0)
 """Spreads of positions that the matcher is set up for; a stretch is matched by the one that fits it."""
 RADIUS_SD: Final = 3.0
 _RADIUS_M: Final = (25.0, FARTHEST_M)
 _ATTRIBUTES: Final = (
+    "shape",
+    "edge.begin_shape_index",
+    "edge.end_shape_index",
     "edge.way_id",
     "edge.forward",
-    "matched.point",
     "matched.type",
     "matched.edge_index",
-    "matched.distance_from_trace_point",
 )
 
 
@@ -64,24 +66,34 @@ class Tracer:
     ) -> MatchedPoints:
         """The roads under a stretch of some minutes; every position is finite."""
         place = np.column_stack([lon_deg, lat_deg])
-        row, forward, on_road, distance = self._trace(t_ns, place, sd_m)
         near = candidates(self.network, place, sd_m[:, None, None] ** 2 * np.eye(2), heading_deg)
+        if t_ns.size == 1:  # is no trace
+            row, forward, on_road, distance = self._likeliest(near, heading_deg)
+        else:
+            row, forward, on_road, distance = self._trace(t_ns, place, sd_m, heading_deg)
         return self._told(place, row, forward, on_road, distance, confidence(self.network, near, row))
 
     def place(self, lon_lat_deg: FloatArray, covariance_en_m2: FloatArray, heading_deg: float) -> RoadPlace:
         """The likeliest road at one place; its covariance is of east and north, the heading NaN if not known."""
         place = lon_lat_deg.reshape(1, 2)
         near = candidates(self.network, place, covariance_en_m2.reshape(1, 2, 2), np.array([heading_deg]))
+        row, forward, on_road, distance = self._likeliest(near, np.array([heading_deg]))
+        return RoadPlace.of(self._told(place, row, forward, on_road, distance, confidence(self.network, near, row)), 0)
+
+    def _likeliest(
+        self, near: Candidates, heading_deg: FloatArray
+    ) -> tuple[IntArray, BoolArray, FloatArray, FloatArray]:
+        """Of one point what ``_trace`` says of many: the candidate of most weight."""
         row, forward = np.array([NO_NAME]), np.array([True])
         on_road, distance = np.full((1, 2), np.nan), np.array([np.nan])
         if near.row.size:
             best = int(np.argmax(near.weight))
             row[0], on_road[0], distance[0] = near.row[best], near.lon_lat_deg[best], near.distance_m[best]
-            forward[0] = self._goes_forward(int(row[0]), on_road[0], heading_deg)
-        return RoadPlace.of(self._told(place, row, forward, on_road, distance, confidence(self.network, near, row)), 0)
+            forward[0] = self._goes_forward(int(row[0]), on_road[0], float(heading_deg[0]))
+        return row, forward, on_road, distance
 
     def _trace(
-        self, t_ns: IntArray, place: FloatArray, sd_m: FloatArray
+        self, t_ns: IntArray, place: FloatArray, sd_m: FloatArray, heading_deg: FloatArray
     ) -> tuple[IntArray, BoolArray, FloatArray, FloatArray]:
         """Of each point the row of its way, whether it is driven forward, the point on it, and how far that is."""
         n = t_ns.size
@@ -106,16 +118,14 @@ class Tracer:
         }
         try:
             told = self._actor(float(np.sqrt(np.mean(np.hypot(sd_m, ROAD_SD_M) ** 2)))).trace_attributes(request)
-        except valhalla._valhalla.ValhallaError:  # no road there, or no way from one to the next
+        except NOT_FOUND:  # no road there, or no way from one to the next
             return row, forward, on_road, distance
-        edges = told["edges"]
-        rows = self.network.rows_of(np.array([edge["way_id"] for edge in edges], np.int64))
-        for index, point in enumerate(told["matched_points"]):
-            edge = point.get("edge_index", len(edges))
-            if point["type"] != "unmatched" and edge < len(edges):
-                row[index], forward[index] = rows[edge], edges[edge]["forward"]
-                on_road[index] = point["lon"], point["lat"]
-                distance[index] = point["distance_from_trace_point"]
+        path = MatchedPath.of(told, place)
+        rows = self.network.rows_of(np.array([edge["way_id"] for edge in told["edges"]], np.int64))
+        along = np.array([edge["forward"] for edge in told["edges"]])
+        on = path.edge != NO_NAME
+        edge, on_road[on], distance[on] = path.nearest(np.flatnonzero(on), sd_m, heading_deg)
+        row[on], forward[on] = rows[edge], along[edge]
         return row, forward, on_road, distance
 
     def _actor(self, spread_m: float) -> Any:
@@ -126,13 +136,14 @@ class Tracer:
 
     def _goes_forward(self, row: int, on_road: FloatArray, heading_deg: float) -> bool:
         """Whether a heading goes along the way's own direction, by the piece nearest to a point on it."""
-        nodes = self.network.nodes_of(row)
-        scale = np.array([np.cos(np.radians(on_road[1])), 1.0])
-        pieces = np.diff(nodes, axis=0) * scale
-        middle = (nodes[:-1] + nodes[1:]) / 2
-        piece = pieces[np.argmin(np.hypot(*((middle - on_road) * scale).T))]
+        nodes, first, last = self.network.nodes_of(np.array([row]))
+        frame = Frame.about(on_road[None])
+        pieces = Segments.of(frame.metres(nodes), first, last)
+        every = np.arange(pieces.line.size)
+        nearest = int(np.argmin(np.hypot(*pieces.projected(np.zeros((every.size, 2)), every).T)))
+        east, north = pieces.end[nearest] - pieces.start[nearest]
         heading = np.radians(heading_deg)
-        return bool(np.isnan(heading) or piece[0] * np.sin(heading) + piece[1] * np.cos(heading) >= 0.0)
+        return bool(np.isnan(heading) or east * np.sin(heading) + north * np.cos(heading) >= 0.0)
 
     def _told(
         self,

@@ -63,8 +63,8 @@ def motion_at(
     """
     there = np.isfinite(v_n_mps[:, :2]).all(axis=1)
     base = int(t_ns[0]) if len(t_ns) else 0
-    at, v = (series_t_ns[there] - base) * 1e-9, v_n_mps[there, :2]
-    t = (t_ns - base) * 1e-9
+    at, v = _seconds(series_t_ns[there], base), v_n_mps[there, :2]
+    t = _seconds(t_ns, base)
     unknown = np.full(len(t), np.nan)
     if len(at) < 2:
         return Motion(unknown, unknown, unknown, speed_sd_mps, acceleration_sd_mps2)
@@ -78,7 +78,7 @@ def motion_at(
     first, last = at[starts[run]], at[ends[run]]
     half = WINDOW_S / 2.0
     known = (t >= first - half) & (t <= last + half) & (last > first)
-    middle, low, high = (np.clip(t + by, first, last) for by in (0.0, -half, half))
+    middle, low, high = (np.minimum(np.maximum(t + by, first), last) for by in (0.0, -half, half))
     now, before, later = _at(middle, at, v), _at(low, at, v), _at(high, at, v)
     driven = v if corrected is None else _without_corrections(at, v, corrected[there])
     span = np.where(high > low, high - low, np.nan)
@@ -96,6 +96,10 @@ def motion_at(
         speed_sd_mps,
         acceleration_sd_mps2,
     )
+
+
+def _seconds(t_ns: TimeArray, base: int) -> FloatArray:
+    return np.asarray((t_ns - base) * 1e-9, np.float64)
 
 
 def _without_corrections(at: FloatArray, v: FloatArray, corrected: npt.NDArray[np.bool_]) -> FloatArray:

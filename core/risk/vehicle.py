@@ -61,7 +61,8 @@ class VehicleModel:
         excess, step_kmh, bad = self._excess(motion, road)
         night = self._darkness(sun_rad)
         speed_risk = self.speed.infer(excess=excess, darkness=night)
-        lateral = np.abs(motion.right_mps2) / self._lateral_share(motion.speed_mps)
+        share = self._lateral_share(motion.speed_mps)
+        lateral = np.abs(motion.right_mps2) / share
         motion_risk = self.motion.infer(lateral=lateral, longitudinal=motion.forward_mps2)
         setting = self._setting(road.kind)
         limited = np.isfinite(excess)
@@ -71,10 +72,13 @@ class VehicleModel:
         # What rounding leaves of a centroid at a node would be mass on the next proposition.
         risk = np.round(joined, 12)
 
-        half = self.numbers["half_class"]
         known = motion.known
-        no_speed = doubt(half["speed_steps"] * step_kmh * _MPS_PER_KMH, motion.speed_sd_mps)
-        no_motion = doubt(half["acceleration_mps2"], motion.acceleration_sd_mps2)
+        classes = self.numbers["classes"]
+        room_steps = _room(excess, classes["steps"], classes["half_steps"])
+        no_speed = doubt(room_steps * step_kmh * _MPS_PER_KMH, motion.speed_sd_mps)
+        room_right = _room(lateral, classes["lateral_mps2"], classes["half_mps2"]) * share
+        room_forward = _room(motion.forward_mps2, classes["longitudinal_mps2"], classes["half_mps2"])
+        no_motion = doubt(np.minimum(room_right, room_forward), motion.acceleration_sd_mps2)
         no_road = doubt(POSITION_HALF_CLASS_M, road.position_sd_m)
         sure = np.where(known, (1.0 - no_motion) * np.where(limited, (1.0 - no_speed) * (1.0 - no_road), 1.0), 0.0)
         mass = crossfade(risk, self.nodes)
@@ -115,6 +119,12 @@ class VehicleModel:
         return setting
 
 
+def _room(value: FloatArray, ends: list[float], half: float) -> FloatArray:
+    """By how much a value may be wrong and stay in its class: half the class, or more in an open one, (n,)."""
+    to_ends = np.abs(value[:, None] - np.array(ends)).min(axis=1)
+    return np.asarray(np.maximum(half, to_ends))
+
+
 def doubt(half_width: Any, sd: FloatArray) -> FloatArray:
     """The discount rate of an input: the chance that its error exceeds half a class width, 0 if negligible."""
     alpha = chance_of_exceeding(half_width, sd)
@@ -123,7 +133,7 @@ def doubt(half_width: Any, sd: FloatArray) -> FloatArray:
 
 def vehicle_of(document: Mapping[str, Any]) -> VehicleModel:
     """The model from what its TOML document says; raises InvalidInputError that names what is wrong."""
-    needed = ("speeding", "lateral", "darkness", "setting", "half_class", "speed", "motion", "vehicle", "masses")
+    needed = ("speeding", "lateral", "darkness", "setting", "classes", "speed", "motion", "vehicle", "masses")
     if missing := [key for key in needed if not isinstance(document.get(key), Mapping)]:
         raise InvalidInputError(f"no section [{missing[0]}]: expected {', '.join(needed)}")
     if absent := [name for name in ROADS if not isinstance(document["setting"].get(name), int | float)]:

@@ -14,6 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from service.bench import (
+    belief,
     calibration,
     calibration_report,
     kernel,
@@ -58,6 +59,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--kernel", action="store_true", help="measure the navigation filter alone")
+    instead.add_argument("--belief", action="store_true", help="measure the fusion of beliefs alone")
     instead.add_argument(
         "--navigation",
         action="store_true",
@@ -118,6 +120,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--recordings is for --calibration; expected --calibration beside it")
     if arguments.kernel:
         _print_kernel(as_json=arguments.json)
+        return 0
+    if arguments.belief:
+        fused = belief.measure()
+        print(json.dumps(fused) if arguments.json else belief.lines(fused))
         return 0
     if arguments.navigation:
         with _Phases() as phases:

@@ -125,12 +125,14 @@ def test_where_the_law_knows_no_limit_the_recommended_speed_counts():
 def test_doubt_goes_to_theta_and_out_of_the_coverage():
     """Class widths in town: 5 km/h, of which half is 0.69 m/s: one sd of it leaves .317 beyond."""
     half_mps = 2.5 / 3.6
-    doubtful = risk_of(driven(90.0, speed_sd=half_mps))
+    doubtful = risk_of(driven(55.0, speed_sd=half_mps))
     assert doubtful.mass[0, THETA] == pytest.approx(0.3173105, abs=1e-7)
     assert doubtful.coverage["speed"][0] == pytest.approx(1.0 - 0.3173105, abs=1e-7)
     assert doubtful.coverage["motion"].tolist() == [1.0]
-    assert risk_of(driven(90.0, speed_sd=half_mps / 4.0)).mass[0, THETA] == 0.0, "a chance of 6e-5 is no doubt"
-    assert risk_of(driven(90.0, acceleration_sd=0.5)).mass[0, THETA] == pytest.approx(0.3173105, abs=1e-7)
+    assert risk_of(driven(55.0, speed_sd=half_mps / 4.0)).mass[0, THETA] == 0.0, "a chance of 6e-5 is no doubt"
+    assert risk_of(driven([10.0, 90.0], speed_sd=half_mps)).mass[:, THETA].tolist() == [0.0, 0.0], "far from any other"
+    assert risk_of(driven(30.0, right=3.0, acceleration_sd=0.5)).mass[0, THETA] == pytest.approx(0.3173105, abs=1e-7)
+    assert risk_of(driven(30.0, acceleration_sd=0.5)).mass[0, THETA] == 0.0
     assert risk_of(driven(90.0), position_sd_m=25.0).mass[0, THETA] == pytest.approx(0.3173105, abs=1e-7)
     unknown = risk_of(driven(90.0), limit_kmh=np.nan, position_sd_m=500.0)
     assert unknown.mass[0, THETA] == 0.0, "nothing that depends on the position is known"

@@ -166,6 +166,15 @@ def simulate(
     return simulate_scenario(scenario, SCENARIOS[scenario], seed, duration_s, rate_hz, draw)
 
 
+def check_asked(seed: int, draw: int, duration_s: float) -> None:
+    """Raise InvalidInputError for what no drive can be drawn from."""
+    for name, value in (("seed", seed), ("draw", draw)):
+        if value < 0:
+            raise InvalidInputError(f"{name} is {value}: expected 0 or more")
+    if not SHORTEST_S <= duration_s <= LONGEST_S:
+        raise InvalidInputError(f"a drive of {duration_s:g} s: expected {SHORTEST_S:g} s to {LONGEST_S / 3600:g} h")
+
+
 def simulate_scenario(
     name: str,
     chosen: Scenario,
@@ -175,12 +184,8 @@ def simulate_scenario(
     draw: int = 0,
 ) -> SimulatedDrive:
     """Simulate a scenario that need not be among ``SCENARIOS``; the rest as ``simulate``."""
-    for what, value in (("seed", seed), ("draw", draw)):
-        if value < 0:
-            raise InvalidInputError(f"{what} is {value}: expected 0 or more")
     length_s = chosen.duration_s if duration_s is None else duration_s
-    if not SHORTEST_S <= length_s <= LONGEST_S:
-        raise InvalidInputError(f"a drive of {length_s:g} s: expected {SHORTEST_S:g} s to {LONGEST_S / 3600:g} h")
+    check_asked(seed, draw, length_s)
     route_rng, unit_rng, *noise_rngs = np.random.default_rng(seed).spawn(5)
     if draw > 0:
         noise_rngs = np.random.default_rng([seed, draw]).spawn(3)

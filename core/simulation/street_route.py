@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import maximum_filter1d
 
 from core.earth import radii_m
@@ -152,7 +153,7 @@ def drive_streets(
     allowed = np.maximum(np.minimum(limit, in_curves), how.least_mps)
     stops, waits = _stops(path, line, rng, how)
     going_s = duration_s - STILL_START_S - _STILL_END_S
-    t_s, at = _timed(line.s_m, allowed, stops, waits, how)
+    t_s, at, _ = _timed(line.s_m, allowed, stops, waits, how)
     if t_s[-1] < going_s:
         raise InvalidInputError(
             f"a path of {line.s_m[-1] / 1000:.1f} km takes {t_s[-1]:.0f} s: expected one for {going_s:.0f} s"
@@ -163,8 +164,8 @@ def drive_streets(
     if end < _SHORTEST_M / _STEP_M:
         raise InvalidInputError(f"a drive of {duration_s:g} s: too short to go anywhere")
     within = stops < end - 1
-    t_s, at = _timed(line.s_m[:end], allowed[:end], stops[within], waits[within], how)
-    return _driven(line, path, t_s, at, duration_s, outages_s, how, alt_m)
+    t_s, at, speed_mps = _timed(line.s_m[:end], allowed[:end], stops[within], waits[within], how)
+    return _driven(line, path, t_s, at, speed_mps, duration_s, outages_s, how, alt_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,8 +236,8 @@ def _stops(path: StreetPath, line: _Line, rng: np.random.Generator, how: Driving
 
 def _timed(
     s_m: FloatArray, allowed: FloatArray, stops: Indices, waits: FloatArray, how: Driving
-) -> tuple[FloatArray, FloatArray]:
-    """Times and places (indices, as floats) at which the car is, standing at both ends; two times at each stop."""
+) -> tuple[FloatArray, Indices, FloatArray]:
+    """Times, places (indices) and speeds of the car, standing at both ends; each stop is there twice."""
     length = s_m.size
     square = allowed**2
     square[[0, -1]] = 0.0
@@ -251,23 +252,25 @@ def _timed(
     waited = np.zeros(length)
     waited[stops + 1] = waits
     t_s = t_s + np.cumsum(waited)
-    at = np.arange(length, dtype=float)
-    return np.insert(t_s, stops + 1, t_s[stops] + waits), np.insert(at, stops + 1, at[stops])
+    again = np.sort(np.concatenate([np.arange(length), stops]))
+    t_s = np.insert(t_s, stops + 1, t_s[stops] + waits)
+    return t_s, again, speed[again]
 
 
 def _driven(
     line: _Line,
     path: StreetPath,
     t_s: FloatArray,
-    at: FloatArray,
+    at: Indices,
+    speed_mps: FloatArray,
     duration_s: float,
     outages_s: tuple[tuple[float, float], ...],
     how: Driving,
     alt_m: float,
 ) -> StreetDrive:
-    index = np.arange(line.s_m.size)
     grid_s = np.arange(0.0, duration_s + 2 * _STEP_S, _STEP_S)
-    s = np.interp(grid_s - STILL_START_S, t_s, np.interp(at, index, line.s_m))
+    # Between the places the acceleration is constant, which this cubic meets exactly.
+    s = CubicHermiteSpline(t_s, line.s_m[at], speed_mps)(np.clip(grid_s - STILL_START_S, 0.0, t_s[-1]))
     window = np.hanning(2 * round(how.easing_s / (2 * _STEP_S)) + 3)[1:-1]
     half = window.size // 2
     s = np.convolve(np.pad(s, half, mode="edge"), window / window.sum(), mode="valid")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import re
 import sys
 from collections.abc import Iterator
@@ -28,7 +27,7 @@ from service.bench import (
 from service.bench.fleet import record_drives
 from service.bench.target import Address
 from service.cli.ending import unwinding_on_sigterm
-from service.cli.progress import Progress
+from service.cli.progress import Phases, Progress
 from service.demo.service_process import ServiceProcess, free_port
 from service.errors import UsageError
 
@@ -126,25 +125,25 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(fused) if arguments.json else belief.lines(fused))
         return 0
     if arguments.navigation:
-        with _Phases() as phases:
+        with Phases() as phases:
             found = navigation.measure(arguments.part, _folder(arguments.drives), phases.tell)
         print(json.dumps(found) if arguments.json else navigation_report.tables(found))
         return 0
     if arguments.roads is not None:
         count = _count(arguments.drives)
-        with _Phases() as phases:
+        with Phases() as phases:
             found = roads.measure(arguments.roads, count, phases.tell)
         print(json.dumps(found) if arguments.json else roads.tables(found))
         return 0
     if arguments.calibration:
-        with _Phases() as phases:
+        with Phases() as phases:
             found = calibration.measure(arguments.part, arguments.recordings, phases.tell)
         print(json.dumps(found) if arguments.json else calibration_report.tables(found))
         return 0
     _check(arguments)
     with unwinding_on_sigterm(), TemporaryDirectory(prefix="telefuse-bench-") as directory:
         drives = record_drives(arguments.rate)
-        with _service(arguments, Path(directory) / "service") as address, _Phases() as phases:
+        with _service(arguments, Path(directory) / "service") as address, Phases() as phases:
             loaded = load.measure(address, drives, arguments.vehicles, arguments.seconds, phases.tell)
         with Progress("stages", len(stages.STAGES)) as progress:
             measured = stages.measure(drives[0], Path(directory), progress.update)
@@ -189,32 +188,6 @@ def _service(arguments: argparse.Namespace, data_dir: Path) -> Iterator[Address]
         yield Address(service.http_url, None if arguments.http else service.zenoh_endpoint)
     finally:
         service.stop()
-
-
-class _Phases:
-    """A bar for each part of the load test."""
-
-    def __init__(self) -> None:
-        self._name = ""
-        self._bar: Progress | None = None
-
-    def __enter__(self) -> _Phases:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._end()
-
-    def tell(self, name: str, done: float, total: float) -> None:
-        """Show how far the part called ``name`` is."""
-        if name != self._name:
-            self._end()
-            self._name, self._bar = name, Progress(name, math.ceil(total)).__enter__()
-        if self._bar is not None:
-            self._bar.update(int(done))
-
-    def _end(self) -> None:
-        if self._bar is not None:
-            self._bar.__exit__(None, None, None)
 
 
 def _print_kernel(*, as_json: bool) -> None:

@@ -12,7 +12,7 @@ from service import settings
 from service.cli import OneLineParser
 from service.cli.drives import add_drive, fuse_with_progress, open_drive
 from service.cli.ending import unwinding_on_sigterm
-from service.cli.progress import Progress
+from service.cli.progress import Phases
 from service.errors import UsageError
 from service.recordings.drive_folder import Drive
 from service.recordings.fusing import Outage
@@ -81,11 +81,11 @@ def _build(arguments: argparse.Namespace) -> int:
     extra.require()
     from service.roads.build import build
 
-    with _Steps() as steps:
+    with Phases() as phases:
         manifest = build(
             arguments.extract,
             arguments.out,
-            steps.tell,
+            phases.tell,
             limits=arguments.limits,
             country=arguments.country,
             district_level=arguments.district_level,
@@ -152,29 +152,3 @@ def _print(arguments: argparse.Namespace, drive: Drive, positions: Positions, ma
             print(f"  {name.replace('_', ' ')}: {100 * share:.1f} % of the distance")
     if found["matched_km"] == 0.0:
         sys.stderr.write("telefuse roads: no road was found; is the drive inside the extract?\n")
-
-
-class _Steps:
-    """A bar for each step."""
-
-    def __init__(self) -> None:
-        self._name = ""
-        self._bar: Progress | None = None
-
-    def __enter__(self) -> _Steps:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._end()
-
-    def tell(self, name: str, done: float, total: float) -> None:
-        """Show how far a step is."""
-        if name != self._name:
-            self._end()
-            self._name, self._bar = name, Progress(name, 100).__enter__()
-        if self._bar is not None:
-            self._bar.update(int(100 * done / total))
-
-    def _end(self) -> None:
-        if self._bar is not None:
-            self._bar.__exit__(None, None, None)

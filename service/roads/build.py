@@ -45,7 +45,7 @@ def build(
     if country is not None and country not in defaults.by_country:
         known = " ".join(sorted(defaults.by_country))
         raise UsageError(f"country {country}: no default limits; expected one of {known}, or a table by --limits")
-    extract = read_extract(path, defaults, lambda share: tell("reading", share, 1.0))
+    extract = read_extract(path, defaults, lambda share: tell("reading", 100.0 * share, 100.0))
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as scratch:

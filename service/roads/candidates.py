@@ -16,6 +16,8 @@ SELDOM: Final = 0.25
 """What a service road or track weighs against a street at the same distance; a choice."""
 REACH_SD: Final = 4.0
 _REACH_M: Final = 25.0
+_FARTHEST_M: Final = 1000.0
+"""A position that is less sure than that is on no road in particular."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +49,7 @@ def candidates(
     frame = Frame.about(lon_lat_deg)
     points = frame.metres(lon_lat_deg)
     spread = np.linalg.inv(covariance_en_m2 + ROAD_SD_M**2 * np.eye(2))
-    reach = _REACH_M + REACH_SD * np.sqrt(np.linalg.eigvalsh(covariance_en_m2)[:, 1])
+    reach = np.minimum(_REACH_M + REACH_SD * np.sqrt(np.linalg.eigvalsh(covariance_en_m2)[:, 1]), _FARTHEST_M)
     low, high = frame.degrees(points - reach[:, None]).min(axis=0), frame.degrees(points + reach[:, None]).max(axis=0)
     rows = network.within((float(low[0]), float(low[1]), float(high[0]), float(high[1])))
     nodes, first, last = network.nodes_of(rows)

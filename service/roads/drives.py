@@ -167,6 +167,7 @@ def rightness(
     way = np.array(truth["way_id"])[at]
     limit = np.array([np.nan if one is None else one for one in truth["limit_kmh"]])[at]
     tagged = np.array([one == "tagged" for one in truth["limit_certainty"]])[at]
+    limit[tagged & np.isnan(limit)] = np.inf  # JSON has no way to say that there is none
     street = np.array([matched.street(i) == truth["street"][at[i]] for i in range(at.size)], np.bool_)
     district = np.array([matched.district(i) == truth["district"][at[i]] for i in range(at.size)], np.bool_)
     right, right_limit = matched.way_id == way, matched.limit_kmh == limit

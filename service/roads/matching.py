@@ -17,7 +17,6 @@ from service.roads.protocol import (
     IntArray,
     MatchedPoints,
     NullMatcher,
-    RoadMatcher,
     RoadPlace,
 )
 from service.roads.workers import MatcherProcesses
@@ -121,11 +120,6 @@ class RoadService:
         heading = np.nan if heading_deg is None else heading_deg
         found: RoadPlace | None = self._processes.run("place", [[np.array([lon_deg, lat_deg]), covariance, heading]])[0]
         return found or unknown
-
-
-def as_matcher(service: RoadService) -> RoadMatcher:
-    """The service by its protocol, which the type checker sees to."""
-    return service
 
 
 def _apart(t_ns: IntArray) -> IntArray:

@@ -34,7 +34,7 @@ class MatchedPath:
         count = len(told["edges"])
         on = np.array([one["type"] != "unmatched" for one in told["matched_points"]])
         edge = np.array([min(one.get("edge_index", count), count) for one in told["matched_points"]], np.int64)
-        pieces = Segments.of(frame.metres(decoded(told["shape"])), spans[:, 0], spans[:, 1])
+        pieces = Segments.of(frame.metres(decoded(told["shape"])), *spans.reshape(-1, 2).T)
         return cls(frame, frame.metres(lon_lat_deg), _filled(edge, on, count), pieces)
 
     def nearest(

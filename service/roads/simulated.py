@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from core.earth import horizontal_distance_m
-from core.simulation.scenarios import Scenario, SimulatedDrive, simulate_scenario
+from core.simulation.scenarios import Scenario, SimulatedDrive, check_asked, simulate_scenario
 from core.simulation.street_route import StreetDrive, StreetPath, drive_streets
 from service.errors import UsageError
 from service.roads import extra
@@ -78,8 +78,9 @@ def simulate_on_roads(
     Raises UsageError for a folder that is none, or roads that are too few for so long a drive.
     """
     extra.require()
-    roads = _StreetRoutes(folder)
     length_s = DURATION_S if duration_s is None else duration_s
+    check_asked(seed, draw, length_s)
+    roads = _StreetRoutes(folder)
     rng = np.random.default_rng([seed, 0])
     drawn = roads.draw(rng, length_s)
     path = roads.path_of(drawn)

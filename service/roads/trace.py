@@ -155,6 +155,7 @@ class Tracer:
         sure: FloatArray,
     ) -> MatchedPoints:
         network, known = self.network, row != NO_NAME
+        on_road, distance = np.where(known[:, None], on_road, np.nan), np.where(known, distance, np.nan)
         district_of_way = np.where(known, network.district_index[row], NO_NAME)
         district = self.districts.along(np.where(known[:, None], on_road, place), district_of_way)
         street_index, streets = _used(np.where(known, network.name_index[row], NO_NAME), network.names)

@@ -210,6 +210,14 @@ def test_a_process_that_dies_is_replaced(built_roads):
     assert not last.is_alive()
 
 
+def test_a_position_that_might_be_anywhere_is_on_no_road_for_sure(roads):
+    t_ns, lat, lon, _, heading = drive([(20, 0), (400, 0)])
+    matched = roads.match(t_ns, lat, lon, np.full(lat.size, 5000.0), heading)
+    assert len(matched) == lat.size
+    assert np.nanmax(matched.confidence) < 0.6
+    assert place(roads, 700, 0, (1e9, 1e9, 0.0)).confidence < 0.6
+
+
 def test_after_the_stop_everything_is_unknown(built_roads):
     roads = RoadService(built_roads, processes=1)
     points = drive([(20, 0), (100, 0)])

@@ -13,6 +13,7 @@ from typing import Any, Final
 from core.risk.combination import RULES
 from core.risk.driver import SEXES, Driver
 from schemas.times import parse_time
+from service import settings
 from service.cli.drives import add_drive, check_outages, fuse_with_progress, open_drive
 from service.cli.progress import Progress
 from service.errors import UsageError
@@ -26,6 +27,8 @@ from service.risk.loading import PRESETS, risk_model, shipped_text
 from service.roads.protocol import NullMatcher, RoadMatcher
 
 TABLE_1: Final = ("reference", "raw", "fused")
+DEFINED: Final = ("pcr6", "pcr6+", "pcr5", "yager", "dubois-prade")
+"""Rules that give every instant a mass that sums to 1 without conflict, so that their mean says something."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -90,12 +93,14 @@ def _configure_assess(parser: argparse.ArgumentParser) -> None:
         help="fused: the filter's solution; raw: GNSS alone; reference: reference.csv (default fused)",
     )
     parser.add_argument("--table", action="store_true", help="all three sources side by side, as the paper's table I")
-    parser.add_argument("--roads", type=Path, metavar="ROADS", help="what 'telefuse roads build' made (default: none)")
+    parser.add_argument(
+        "--roads", type=Path, metavar="ROADS", help="folder of built roads (default: the setting ROADS)"
+    )
     parser.add_argument(
         "--outage", action="append", default=[], metavar="START:DURATION", help="withhold GNSS then; may be repeated"
     )
     parser.add_argument("--timeline", type=Path, metavar="FILE.csv", help="write every instant")
-    parser.add_argument("--rule", choices=RULES, default=RULES[0], help=f"of both levels (default {RULES[0]})")
+    parser.add_argument("--rule", choices=DEFINED, default=RULES[0], help=f"of both levels (default {RULES[0]})")
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--preset", choices=PRESETS, default=PRESETS[0], help=f"tables (default {PRESETS[0]})")
     which.add_argument("--tables", type=Path, metavar="FILE.toml", help="your own; see 'telefuse risk tables'")
@@ -120,7 +125,7 @@ def _assess(arguments: argparse.Namespace) -> int:
         if sources == ("reference",):
             raise UsageError(f"{drive.name}: has no reference.csv; expected one for --source reference")
         sources = tuple(source for source in sources if source != "reference")
-    if "reference" not in sources[:1] and not len(drive.measurements.gnss_t_ns):
+    if set(sources) != {"reference"} and not len(drive.measurements.gnss_t_ns):
         raise UsageError(f"{drive.name}: has no gnss.csv; expected fixes to assess by")
     fused: Fused | None = None
     if "fused" in sources:
@@ -135,9 +140,9 @@ def _assess(arguments: argparse.Namespace) -> int:
     if timeline is not None:
         write_whole(timeline, telling.timeline(drive, assessed).encode())
     if arguments.table:
-        told = {"columns": found}
+        told: dict[str, Any] = {"columns": found}
         if {"fused", "reference"} <= set(found):
-            told["difference"] = telling.difference(found)  # type: ignore[assignment]
+            told["difference"] = telling.difference(found)
         print(json.dumps(told) if arguments.json else telling.table_1(drive, found))
     else:
         one = found[sources[0]]
@@ -169,7 +174,8 @@ def _driver(arguments: argparse.Namespace, drive: Drive, clock: Clock) -> Driver
     return Driver(age, arguments.driver_sex or told.sex, arguments.driver_experience)
 
 
-def _roads(folder: Path | None) -> AbstractContextManager[RoadMatcher]:
+def _roads(asked: Path | None) -> AbstractContextManager[RoadMatcher]:
+    folder = asked or settings.load_settings().settings.roads
     if folder is None:
         return nullcontext(NullMatcher())
     from service.roads.matching import RoadService

@@ -213,7 +213,7 @@ def _nearest(t_ns: TimeArray, at_ns: TimeArray, values: FloatArray) -> FloatArra
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssessedDrive:
-    """An assessment with what it was made from."""
+    """An assessment with what it was made from; ``in_outage`` is where fixes were withheld or did not come, (n,)."""
 
     instants: Instants
     environment: Environment
@@ -245,11 +245,11 @@ def assess_drive(
         road=road_under(instants, matcher),
     )
     t_s = drive.t_s(instants.t_ns)
-    inside = np.zeros(len(t_s), np.bool_)
+    without_gnss = ~_by_gnss(drive, instants.t_ns, outages).motion.known
     for outage in outages:
-        inside |= (t_s >= outage.start_s) & (t_s < outage.end_s)
+        without_gnss |= (t_s >= outage.start_s) & (t_s < outage.end_s)
     assessment = assess(model, driver, environment, instants.motion)
-    return AssessedDrive(instants, environment, assessment, inside, clock.utc_offset_s is None)
+    return AssessedDrive(instants, environment, assessment, without_gnss, clock.utc_offset_s is None)
 
 
 def road_under(instants: Instants, matcher: RoadMatcher) -> Road:

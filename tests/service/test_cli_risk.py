@@ -158,11 +158,11 @@ def test_table_1_on_a_recorded_drive(capsys):
 
 
 def test_raw_is_on_theta_in_its_outages_alone(capsys, city, tmp_path):
-    """The drive has a tunnel of its own, in which there are no fixes either."""
+    """The outage asked for, and the tunnels of the drive's own."""
     timeline = tmp_path / "risk.csv"
     truth = json.loads((city / "truth.json").read_text())
-    own = [(span["start_s"], span["start_s"] + span["duration_s"]) for span in truth["outages"]]
-    assessed(capsys, city, "--source", "raw", "--outage", "60:45", "--timeline", timeline)
+    spans = [(span["start_s"], span["start_s"] + span["duration_s"]) for span in truth["outages"]] + [(60.0, 105.0)]
+    told = assessed(capsys, city, "--source", "raw", "--outage", "60:45", "--timeline", timeline)
     with timeline.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 241
@@ -171,11 +171,12 @@ def test_raw_is_on_theta_in_its_outages_alone(capsys, city, tmp_path):
         masses = [float(row[f"mass_{name or 'empty'}"]) for name in PROPOSITIONS]
         assert sum(masses) == pytest.approx(1.0, abs=1e-7)
         if row["in_outage"] == "1":
-            assert 60.0 <= t_s < 105.0
+            assert any(start - 1.0 <= t_s <= end + 1.0 for start, end in spans)
             assert theta > 0.05
             assert row["speed_mps"] == ""
-        elif not any(start - 2.0 <= t_s <= end + 2.0 for start, end in own):
+        else:
             assert theta == 0.0
+    assert (told["max_theta_outside_outages"], told["max_theta"] > 0.1) == (0.0, True)
 
 
 def test_the_driver_may_be_left_out_and_that_is_said(capsys, city, tmp_path):
@@ -283,3 +284,43 @@ def test_the_tables_can_be_printed_to_begin_ones_own_with(capsys):
         status, out, _ = call(capsys, "risk", "tables", name)
         assert (status, out) == (0, shipped_text(name))
     assert np.all([word in shipped_text("default") for word in ("PMC7403895", "Farmer & Williams")])
+
+
+@pytest.fixture(scope="module")
+def on_roads(built_roads, tmp_path_factory):
+    """Five minutes on the streets of a map."""
+    from service.roads.simulated import simulate_on_roads
+
+    folder = tmp_path_factory.mktemp("drives") / "streets"
+    write_drive(folder, drive_of(simulate_on_roads(built_roads, seed=4, duration_s=300.0, rate_hz=50.0)))
+    return folder
+
+
+def test_with_roads_limits_classes_and_districts_are_known(capsys, on_roads, built_roads, tmp_path):
+    timeline, own = tmp_path / "risk.csv", tmp_path / "own.toml"
+    _, out, _ = call(capsys, "risk", "assess", on_roads, "--roads", built_roads, "--timeline", timeline, "--json")
+    told = json.loads(out)
+    assert told["coverage"]["environment.road_class"] > 0.8
+    assert told["coverage"]["vehicle.speed"] > 0.8
+    assert not any("roads are unknown" in line for line in told["left_out"])
+    with timeline.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    districts = {row["district"] for row in rows} - {""}
+    assert districts
+    assert {row["limit_kmh"] for row in rows} & {"30", "40", "50", "80", "120"}
+    table = 'name = "district"\nentity = "environment"\nsource = "a choice"\n'
+    for district, known in ((sorted(districts)[0], True), ("Ville-Marie", False)):
+        row = f'rows = [{{ when = {{ district = "{district}" }}, mass = {{ HR = 1.0 }} }}]\n'
+        own.write_text(f'extends = "default"\n[[table]]\n{table}{row}', encoding="utf-8")
+        told = assessed(capsys, on_roads, "--source", "reference", "--roads", built_roads, "--tables", own)
+        assert (told["coverage"]["environment.district"] > 0.0) == known
+        said = [line for line in told["left_out"] if line.startswith("environment.district")]
+        assert bool(said) != known
+    assert "table 'district' is for Ville-Marie, not for " in said[0]
+    assert sorted(districts)[0] in said[0]
+
+
+def test_what_are_no_roads_is_refused(capsys, city, tmp_path):
+    pytest.importorskip("valhalla")
+    status, _, err = call(capsys, "risk", "assess", city, "--roads", tmp_path)
+    assert (status, "no built roads" in err) == (2, True)

@@ -301,7 +301,7 @@ def test_with_roads_limits_classes_and_districts_are_known(capsys, on_roads, bui
     _, out, _ = call(capsys, "risk", "assess", on_roads, "--roads", built_roads, "--timeline", timeline, "--json")
     told = json.loads(out)
     assert told["coverage"]["environment.road_class"] > 0.8
-    assert told["coverage"]["vehicle.speed"] > 0.8
+    assert 0.5 < told["coverage"]["vehicle.speed"] < 1.0  # one street of that map has a limit of 999
     assert not any("roads are unknown" in line for line in told["left_out"])
     with timeline.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))

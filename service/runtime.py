@@ -26,6 +26,7 @@ from service.ingest.journal import Journal
 from service.ingest.receiver import Receiver
 from service.ingest.zenoh import ZenohIngest
 from service.observability import Metrics
+from service.roads.matching import RoadService
 from service.settings import Settings
 from service.storage import retention, schema
 from service.storage.database import open_database, read
@@ -60,6 +61,7 @@ class Runtime:
     run_files: RunFiles
     calibrating: CalibrationWorker
     proving: EvidenceWorker
+    roads: RoadService
     zenoh: ZenohIngest
     _sending: asyncio.Task[None]
 
@@ -90,6 +92,9 @@ class Runtime:
         def at_stop(close: Callable[[], object]) -> None:
             stack.push_async_callback(in_thread, close)
 
+        self.roads = RoadService(settings.roads)
+        self.roads.start()
+        at_stop(self.roads.stop)
         self.database = open_database(settings.database_url)
         at_stop(self.database.dispose)
         at_stop(await in_thread(hold_database, self.database))

@@ -133,7 +133,11 @@ class Settings(BaseSettings):
     cluster: Literal["none"] = Field(
         default="none", description="Distributed engine; this version has one process only."
     )
-    roads: Literal["none"] = Field(default="none", description="Prepared road data; this version has no map matching.")
+    roads: Path | None = Field(
+        default=None,
+        description="Folder that 'telefuse roads build' made, for street, legal limit and district; without it roads "
+        "are unknown.",
+    )
 
     dangerous_allow_private_webhook_targets: bool = Field(
         default=False,

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from core.errors import InvalidInputError
 from core.measurements import FloatArray, TimeArray
-from core.sun import CIVIL_DUSK_RAD, SUNSET_RAD, sun_elevation_rad
+from core.sun import CIVIL_DUSK_RAD, SUNSET_RAD, solar_elevation_rad
 from core.tunables import Tunables, tunable
 
 UNKNOWN: Final = ""
@@ -154,7 +154,7 @@ def exposure(
     days = local.astype("datetime64[D]")
     light = [
         Light.DAY if sun >= SUNSET_RAD else Light.TWILIGHT if sun >= CIVIL_DUSK_RAD else Light.NIGHT
-        for sun in sun_elevation_rad(at_ns, lat_rad[rows], lon_rad[rows]).tolist()
+        for sun in solar_elevation_rad(at_ns, lat_rad[rows], lon_rad[rows]).tolist()
     ]
     hours = (local - days) // np.timedelta64(1, "h")
     told_by: dict[Facet, Sequence[str]] = {

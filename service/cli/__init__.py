@@ -17,6 +17,8 @@ COMMANDS: Final = {
     "noise": "measure a box's noise from a recording at rest: Allan deviation and fits",
     "evidence": "verify what was kept of an accident",
     "detect": "find accidents in a drive folder",
+    "risk": "combine masses of belief, or assess the risk of a drive",
+    "roads": "prepare an OpenStreetMap extract, and find the roads under a drive",
     "replay": "play a drive folder into a running service as a black box would",
     "bench": "measure throughput, latency and the filter's speed on this machine",
     "openapi": "print the OpenAPI document of the HTTP interface",

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from core.accident.detector import ImpactDetector
-from core.accident.events import Impact, VehicleMotion
+from core.accident.events import Candidate, Findings, Impact, VehicleMotion
 from core.accident.paper_rule import PaperRule
-from core.accident.placing import RECENT_S, Accident, newest, placed, told_until
+from core.accident.placing import RECENT_S, Accident, Place, Suppressed, newest, place_at, told_until
 from core.accident.thresholds import DetectorThresholds
 from core.box_clock import ANEW, LET_GO, STEPPED, BoxClock
 from core.calibration.drift import Biases, BiasUpdate
@@ -35,7 +35,7 @@ from core.rotation import matrix_from_rpy, rpy_from_matrix
 from core.sensors import MagnetometerCalibration, TriadCalibration
 from core.snapshot import pack, unpack
 
-SNAPSHOT_VERSION: Final = 3
+SNAPSHOT_VERSION: Final = 4
 KNOWN_MOUNTING_SD_RAD: Final = 0.01
 """Spread of a mounting that was measured: half a degree, by hand."""
 AXES_SD_RAD: Final = 0.014
@@ -63,7 +63,8 @@ class MountingEstimate:
 class Outputs:
     """What one step brought: track rows every 100 ms, accidents, trips begun or changed, counts, and biases.
 
-    ``biases`` are what a trip that has ended made of the calibration's.
+    ``biases`` are what a trip that has ended made of the calibration's, ``suppressed`` what felt like an accident
+    and was none.
 
     ``counts`` names what the step met, such as ``gnss_position.fused``, ``gnss_position.rejected_gate``,
     ``imu.rejected_time``, ``imu.reset``, ``mounting.found``, ``mounting.contradicted``, ``clock.stepped_back``; only
@@ -75,6 +76,7 @@ class Outputs:
     trips: tuple[Trip, ...]
     counts: Mapping[str, int]
     biases: tuple[BiasUpdate, ...] = ()
+    suppressed: tuple[Suppressed, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +104,8 @@ class SessionConfig:
 class Detector(Protocol):
     """What finds impacts in calibrated samples."""
 
-    def step(self, motion: VehicleMotion) -> list[Impact]:
-        """Impacts that these samples decided."""
+    def step(self, motion: VehicleMotion) -> Findings:
+        """What these samples decided."""
 
     def turn(self, C_new_from_old: npt.NDArray[np.float64]) -> None:
         """Take samples in other body axes from now on."""
@@ -146,6 +148,7 @@ class Session:
         self._detector_stage = f"detector.{config.detector}"
         self._trips = TripTracker(config.trips)
         self._recent = Track.joined([])
+        self._placed: tuple[int, Place] | None = None
 
     def step(self, measurements: Measurements) -> Outputs:
         """Take the next measurements. Never raises for what they hold."""
@@ -164,6 +167,7 @@ class Session:
         valid = with_valid_samples(measurements, self._filter.t_ns, counts)
         tracks: list[Track] = []
         impacts: list[Impact] = []
+        candidates: list[Candidate] = []
         updates: list[BiasUpdate] = []
         cuts = self._in_force.cut(valid.imu_t_ns)
         for same in parts_at(valid, cuts) if cuts else (valid,):
@@ -171,7 +175,7 @@ class Session:
             for part, aids in self._in_body_axes(self._preparation.step(same), self._aids(same), counts):
                 fused = self._filter.step(part.t_ns, part.f_b, part.omega_b, _unsound(part), aids)
                 # A constant, so that packets do not matter: gravity differs from it by 0.03 m/s2 at most, and upwards.
-                impacts += self._detector.step(
+                found = self._detector.step(
                     VehicleMotion(
                         t_ns=part.t_ns,
                         f_b=part.f_b,
@@ -180,8 +184,12 @@ class Session:
                         speed_mps=fused.epochs[:, 3],
                         saturated=part.saturated,
                         gravity_mps2=STANDARD_GRAVITY_MPS2,
+                        ignition=measurements.ignition,
+                        flags=measurements.flags,
                     )
                 )
+                impacts += found.impacts
+                candidates += found.candidates
                 tracks.append(fused.track)
                 for trip in self._trips.step(fused.track, measurements.ignition):
                     trips.append(trip)
@@ -189,10 +197,19 @@ class Session:
                         self._in_force.follower.trip_ended(trip.end_t_ns)
         track = Track.joined(tracks)
         rows = Track.joined([self._recent, track])
-        accidents = tuple(placed(impact, told_until(rows, impact.decided_t_ns)) for impact in impacts)
+        accidents = tuple(Accident(impact, self._place(impact, rows)) for impact in impacts)
+        suppressed = tuple(
+            Suppressed(one, place_at(one.t_ns, told_until(rows, one.decided_t_ns))) for one in candidates
+        )
         self._recent = newest(rows, RECENT_S)
         self._add_counts(self._filter.counts - before, counts)
-        return Outputs(track, accidents, tuple(trips), counts, tuple(updates))
+        return Outputs(track, accidents, tuple(trips), counts, tuple(updates), suppressed)
+
+    def _place(self, impact: Impact, rows: Track) -> Place:
+        """Where an accident was, as it was known when it was told first."""
+        if self._placed is None or self._placed[0] != impact.t_ns:
+            self._placed = impact.t_ns, place_at(impact.t_ns, told_until(rows, impact.decided_t_ns))
+        return self._placed[1]
 
     def _calibrate(self, measured: Measurements) -> Iterator[BiasUpdate]:
         """Put in force what holds from the first of these samples on; the update where a trip's end brings one."""
@@ -306,6 +323,8 @@ class Session:
     def snapshot(self) -> bytes:
         """The whole state as bytes: restored, it goes on to the bit."""
         arrays: Arrays = {"recent.t": self._recent.t_ns, "recent.rows": self._recent.values}
+        if self._placed is not None:
+            arrays |= {"placed.t": np.array([self._placed[0]]), "placed.row": self._placed[1].as_array()}
         for stage, values in self._stages():
             arrays.update({f"{stage}/{name}": value for name, value in values.items()})
         return pack(arrays, SNAPSHOT_VERSION)
@@ -316,6 +335,9 @@ class Session:
         arrays = unpack(data, SNAPSHOT_VERSION)
         session = cls(config)
         session._recent = Track(arrays.pop("recent.t"), arrays.pop("recent.rows"))  # type: ignore[arg-type]
+        if "placed.t" in arrays:
+            at_ns, place = arrays.pop("placed.t"), arrays.pop("placed.row")
+            session._placed = int(at_ns[0]), Place.from_array(place)  # type: ignore[arg-type]
         parts: dict[str, Arrays] = {}
         for key, value in arrays.items():
             stage, name = key.split("/", 1)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from core.accident.events import Impact, Severity
-from core.accident.placing import Accident
+from core.accident.placing import Accident, Place
 from core.measurements import GNSS, GNSS_COLUMNS, Measurements
 from core.navigation import state
 from core.navigation.records import AidRecords
@@ -71,7 +71,7 @@ def report(seconds: int = 120, rate_hz: int = 50, name: str = "Tunnel & <crash>"
         severity=Severity.SEVERE, confidence=0.9, delta_v_mps=9.0, delta_v_sd_mps=0.5, delta_v_b_mps=(-9.0, 0.0),
         pdof_deg=0.0, peak_mps2=150.0, duration_s=0.1, clipped=False, speed_before_mps=10.0, paper_agrees=True,
     )  # fmt: skip
-    accident = Accident(impact, LAT_RAD, LON_RAD, ALT_M, 1.0, 1.0, 0.0, 0.0, Mode.AIDED)
+    accident = Accident(impact, Place(LAT_RAD, LON_RAD, ALT_M, 1.0, 1.0, 0.0, 0.0, Mode.AIDED))
     counts = {"gnss_position.fused": 99, "gnss_position.rejected_gate": 1}
     fused = Fused(track, (accident,), counts, n, n * 1e-7, mounting)
     outages = [outage]

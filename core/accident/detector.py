@@ -1,76 +1,119 @@
-"""The project's accident detector: a change of velocity that no tyre can bring about was an impact."""
+"""The project's accident detector: what no tyre can bring about is judged, told at once, and followed."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
-from typing import Final
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from core.accident import paper_rule
-from core.accident.events import Impact, Severity, VehicleMotion
-from core.accident.level import A_X, A_Y, GAP, SPEED, V_X, V_Y, Flags, LevelMotion
-from core.accident.pulse import read_pulse, unclip
-from core.accident.severity import classify, confidence, force_direction_deg
+from core.accident import paper_rule, trigger
+from core.accident.events import (
+    Candidate,
+    Findings,
+    Impact,
+    InjuryRisk,
+    Kind,
+    NoAccident,
+    Severity,
+    Status,
+    VehicleMotion,
+)
+from core.accident.judgement import Aftermath, Evidence, followed, log_odds, probability, reasons
+from core.accident.level import CLIPPED, ROUGH, SPEED, LevelMotion
+from core.accident.naming import manoeuvre, name
+from core.accident.pulse import Pulse, read_pulse, unclip
+from core.accident.severity import classify, force_direction_deg, force_direction_sd_deg, injury_risk
+from core.accident.shocks import read_shock
 from core.accident.thresholds import DetectorThresholds
+from core.accident.trigger import NEVER, Stop, scan
 from core.earth import STANDARD_GRAVITY_MPS2
-from core.measurements import FloatArray, TimeArray
+from core.measurements import FLAG_AIRBAG, FLAG_POWER_LOSS, FLAG_TOW, FloatArray
 
 NAME: Final = "telefuse"
 
-_PENDING, _START, _SUSPECTED, _HOT, _FLOOR, _GROUP_END, _ACCIDENT, _RANK, _REVISION = range(9)
-"""Registers, int64: whether an impact is suspected, its start and when it was, the last sample beyond the
-tyres' reach, the time windows may not begin before, and of the accident told last: until when impacts belong to
-it, its time, the rank of its severity and how often it was told."""
-
-_NEVER: Final = -(1 << 61)
 _RANKS: Final = (Severity.LOW_SPEED, Severity.SEVERE, Severity.AIRBAG)
+
+ROLLOVER_ODDS: Final = 2.0
+"""Log-odds that a vehicle which lies on its side after it moved has rolled over. A choice."""
+LOOSE_ODDS: Final = -4.0
+"""The same where it had stood, or the box fell or spun as no car does. A choice."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Open:
+    """The accident that is followed: as it was told last, its log-odds, and when its latest impact ended."""
+
+    impact: Impact
+    odds: float
+    last_ns: int
+    airbag: bool = False
+    power_loss: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Weak:
+    """A suspected pulse that was judged to be none; a shock around it gives its name."""
+
+    t_ns: int
+    odds: float
+    delta_v_mps: float
+    duration_s: float
+    peak_mps2: float
+    paper_agrees: bool
 
 
 class ImpactDetector:
-    """Folds vehicle motion into impacts; the same samples give the same impacts however they are cut.
+    """Folds vehicle motion into accidents; the same samples give the same however they are cut.
 
-    An impact is suspected when over some window w the horizontal velocity changed by more than
-    ``tyre_mps2 * w + margin_mps``; the window with the largest excess says when it began. It is decided when the
-    pulse has settled, at the latest ``decide_s`` after its start, and dropped if it was vertical or swung back.
-    Impacts within ``grouping_s`` belong to one accident: it is told again, with the same ``t_ns`` and the next
-    ``revision``, only if a later one is of a higher class.
+    A pulse is suspected where the horizontal velocity changed by more than tyres can (``trigger``), read off
+    the samples (``pulse``) and judged (``judgement``). An accident is told as suspected as soon as it is likelier than
+    not, told again when its pulse is over and when a worse impact follows within ``grouping_s``, and
+    confirmed or retracted by what followed. What was judged to be none is told as a candidate with a name.
     """
 
     def __init__(self, thresholds: DetectorThresholds | None = None) -> None:
-        self._thresholds = thresholds or DetectorThresholds()
-        self._level = LevelMotion(self._thresholds.level)
-        self._registers = np.array([0, 0, 0, _NEVER, _NEVER, _NEVER, 0, 0, 0], dtype=np.int64)
+        self._limits = limits = thresholds or DetectorThresholds()
+        self._level = LevelMotion(limits.level)
+        self._registers = trigger.fresh_registers()
+        self._marks: FloatArray = np.zeros(trigger.MARKS)
+        self._spans_ns = trigger.times_ns(limits.trigger, limits.aftermath)
+        self._reaches = trigger.levels(limits.trigger)
+        self._open: _Open | None = None
+        self._weak: _Weak | None = None
+        self._seen_flags = 0
+        self._told_ns = NEVER
+        self._ignition: bool | None = None
 
-    def step(self, motion: VehicleMotion) -> list[Impact]:
-        """Take the next samples, in time order; return the impacts decided in them."""
-        limits, level = self._thresholds, self._level
+    def step(self, motion: VehicleMotion) -> Findings:
+        """Take the next samples, in time order; return what was decided in them."""
+        level, found = self._level, Findings([], [])
         row = level.extend(motion)
-        impacts: list[Impact] = []
+        self._ignition = motion.ignition
+        self._seen_flags = motion.flags & (self._seen_flags | FLAG_TOW)
         while True:
-            row, evidence_row = _scan(
-                level.t_ns,
-                level.x,
-                level.flags,
-                row,
-                self._registers,
-                limits.tyre_mps2,
-                limits.margin_mps,
-                _ns(limits.shortest_s),
-                _ns(limits.longest_s),
-                _ns(limits.settled_s),
-                _ns(limits.decide_s),
-                _ns(limits.slow_decide_s),
+            row, evidence_row, stop = scan(
+                level.t_ns, level.x, level.flags, row, self._registers, self._marks, self._spans_ns, self._reaches
             )
-            if row == level.t_ns.shape[0]:
-                return impacts
-            impact = self._decide(row, evidence_row)
-            if impact is not None:
-                impacts.append(impact)
+            if stop == Stop.END:
+                break
+            if stop in (Stop.EARLY, Stop.WHOLE):
+                self._judge(row, evidence_row, stop == Stop.WHOLE, found)
+            elif stop == Stop.SHOCKS:
+                self._name_shocks(row, found)
+            elif stop == Stop.MANOEUVRE:
+                self._name_manoeuvre(row, found)
+            elif stop == Stop.TILTED:
+                self._lies(row, found)
+            else:
+                self._close(row, found)
             row += 1
+        self._take_flags(motion.flags, found)
+        return found
 
     def turn(self, C_new_from_old: FloatArray) -> None:
         """Take samples in other body axes from now on."""
@@ -78,124 +121,356 @@ class ImpactDetector:
 
     def state(self) -> dict[str, npt.NDArray[np.generic]]:
         """Arrays from which ``load`` goes on, to the bit."""
-        return {**self._level.state(), "detector.registers": self._registers}
+        kept = {
+            "open": None if self._open is None else asdict(self._open),
+            "weak": None if self._weak is None else asdict(self._weak),
+            "flags": self._seen_flags,
+            "told_ns": self._told_ns,
+        }
+        return {
+            **self._level.state(),
+            "detector.registers": self._registers,
+            "detector.marks": self._marks,
+            "detector.kept": np.frombuffer(json.dumps(kept).encode(), dtype=np.uint8),
+        }
 
     def load(self, arrays: Mapping[str, npt.NDArray[np.generic]]) -> None:
         """Go on from a ``state``."""
         self._level.load(arrays)
         self._registers = np.array(arrays["detector.registers"], dtype=np.int64)
+        self._marks = np.array(arrays["detector.marks"], dtype=np.float64)
+        kept = json.loads(arrays["detector.kept"].tobytes())
+        self._open = None if kept["open"] is None else _open_from(kept["open"])
+        self._weak = None if kept["weak"] is None else _Weak(**kept["weak"])
+        self._seen_flags, self._told_ns = kept["flags"], kept["told_ns"]
 
-    def _decide(self, row: int, evidence_row: int) -> Impact | None:
+    def _judge(self, row: int, evidence_row: int, whole: bool, found: Findings) -> None:
         """Judge the suspected pulse at ``row``, with rows up to ``evidence_row`` as evidence."""
-        limits, registers = self._thresholds, self._registers
-        t_ns, x, flags = self._level.t_ns, self._level.x, self._level.flags
-        now = int(t_ns[row])
-        registers[_PENDING], registers[_FLOOR] = 0, now
-        start = int(np.searchsorted(t_ns, registers[_START]))
-        pulse = read_pulse(t_ns, x, flags, start, evidence_row, limits.tyre_mps2, limits.onset_mps2, limits.onset_s)
-        if pulse.retained < limits.retained:
-            return None
-        delta_v, duration_s = math.hypot(pulse.forward_mps, pulse.right_mps), pulse.duration_s
-        if not delta_v > limits.vertical_ratio * pulse.vertical_mps:
-            return None
-        forward, right = pulse.forward_mps / delta_v, pulse.right_mps / delta_v
-        tilt_sd = limits.blind_tilt_sd_rad if pulse.levelled else limits.tilt_sd_rad
-        tilt_sd_mps = tilt_sd * STANDARD_GRAVITY_MPS2 * duration_s
-        sd = math.sqrt((limits.scale_sd * delta_v) ** 2 + tilt_sd_mps**2 + limits.noise_sd_mps**2)
-        clipped = pulse.clipped_s > 0.0
-        if clipped:
-            whole = unclip(t_ns, x, flags, pulse)
-            delta_v, duration_s, sd = whole.delta_v_mps, whole.duration_s, math.hypot(sd, whole.sd_mps)
-            forward, right = whole.forward, whole.right
-        excess = delta_v - limits.tyre_mps2 * duration_s
-        if clipped and excess - limits.clipped_sds * sd < limits.margin_mps:
-            return None
+        limits, registers, level = self._limits, self._registers, self._level
+        t_ns, now = level.t_ns, int(level.t_ns[row])
+        start = int(np.searchsorted(t_ns, registers[trigger.START]))
+        pulse = read_pulse(t_ns, level.x, level.flags, start, evidence_row, limits.trigger, limits.pulse)
+        impact, odds = self._impact(pulse, row)
+        told = self._told_ns == registers[trigger.START]
+        needed = limits.judgement.retract if told else limits.judgement.tell if whole else limits.judgement.tell_early
+        likely = probability(odds) >= needed
+        same = self._open is not None and impact.t_ns <= self._open.last_ns + _ns(limits.aftermath.grouping_s)
+        if not whole:
+            if likely and not same:
+                self._told_ns = int(registers[trigger.START])
+                self._begin(impact, odds, row, found)
+            return
+        registers[trigger.PULSE], registers[trigger.FLOOR] = 0, now
+        if not likely:
+            self._dismiss(impact, odds, told, row, found)
+        elif told:
+            self._update(replace(impact, t_ns=self._opened.impact.t_ns), odds, row, found)
+        elif same:
+            self._add(impact, odds, row, found)
+        else:
+            self._begin(impact, odds, row, found)
 
-        severity = classify(delta_v, duration_s, limits.severity)
-        rank = _RANKS.index(severity)
-        same = t_ns[pulse.first] <= registers[_GROUP_END]
-        registers[_GROUP_END] = now + _ns(limits.grouping_s)
-        if same and rank <= registers[_RANK]:
-            return None
-        registers[_REVISION] = registers[_REVISION] + 1 if same else 0
-        registers[_ACCIDENT] = registers[_ACCIDENT] if same else t_ns[pulse.first]
-        registers[_RANK] = rank
-        return Impact(
-            t_ns=int(registers[_ACCIDENT]),
-            decided_t_ns=now,
+    def _impact(self, pulse: Pulse, row: int) -> tuple[Impact, float]:
+        """The accident that a pulse would be, and its log-odds."""
+        limits, level = self._limits, self._level
+        t_ns, x = level.t_ns, level.x
+        delta_v, duration_s = math.hypot(pulse.forward_mps, pulse.right_mps), pulse.duration_s
+        direction = (pulse.forward_mps / max(delta_v, 1e-9), pulse.right_mps / max(delta_v, 1e-9))
+        tilt_sd = limits.pulse.blind_tilt_sd_rad if pulse.levelled else limits.pulse.tilt_sd_rad
+        across_sd = math.hypot(tilt_sd * STANDARD_GRAVITY_MPS2 * duration_s, limits.pulse.noise_sd_mps)
+        sd = math.hypot(limits.pulse.scale_sd * delta_v, across_sd)
+        interval = (max(delta_v - 1.96 * sd, 0.0), delta_v + 1.96 * sd)
+        clipped = pulse.clipped_s > 0.0
+        if clipped and delta_v > 0.0:
+            guessed = unclip(t_ns, x, level.flags, pulse)
+            low, high = guessed.low_mps - guessed.delta_v_mps, guessed.high_mps - guessed.delta_v_mps
+            delta_v, duration_s, direction = guessed.delta_v_mps, guessed.duration_s, (guessed.forward, guessed.right)
+            interval = (max(delta_v - math.hypot(low, 1.96 * sd), 0.0), delta_v + math.hypot(high, 1.96 * sd))
+            sd = math.hypot(sd, guessed.sd_mps)
+        evidence = Evidence(
+            delta_v_mps=math.hypot(pulse.forward_mps, pulse.right_mps),
+            beyond_mps=pulse.beyond_mps,
+            duration_s=pulse.duration_s,
+            swing_mps=pulse.swing_mps,
+            retained=pulse.retained,
+            rate_radps=pulse.rate_radps,
+            jolt_radps=pulse.jolt_radps,
+            clipping_s=pulse.clipping_s,
+            abrupt=pulse.abrupt,
+            rough_mps2=math.sqrt(max(float(x[pulse.first, ROUGH]), 0.0)),
+            stood=pulse.stood,
+            fell=int(t_ns[pulse.first]) - int(self._registers[trigger.FELL]) < _ns(FELL_BEFORE_S),
+        )
+        odds = log_odds(evidence, limits.judgement)
+        pdof_deg = force_direction_deg(*direction)
+        impact = Impact(
+            t_ns=int(t_ns[pulse.first]),
+            decided_t_ns=int(t_ns[row]),
             detector=NAME,
-            severity=severity,
-            confidence=confidence(excess, limits.margin_mps, sd),
+            severity=classify(delta_v, duration_s, limits.severity),
+            confidence=probability(odds),
             delta_v_mps=delta_v,
             delta_v_sd_mps=sd,
-            delta_v_b_mps=(forward * delta_v, right * delta_v),
-            pdof_deg=force_direction_deg(forward, right),
+            delta_v_b_mps=(direction[0] * delta_v, direction[1] * delta_v),
+            pdof_deg=pdof_deg,
             peak_mps2=pulse.peak_mps2,
             duration_s=duration_s,
             clipped=clipped,
             speed_before_mps=float(x[pulse.first, SPEED]),
             paper_agrees=paper_rule.holds_within(x, pulse.first, row, limits.paper),
-            revision=int(registers[_REVISION]),
+            kind=Kind.PARKED_HIT if pulse.stood and self._parked(int(t_ns[pulse.first])) else Kind.COLLISION,
+            delta_v_interval_mps=interval,
+            pdof_sd_deg=force_direction_sd_deg(delta_v, across_sd, limits.pulse),
+            injury=injury_risk(interval, pdof_deg),
+            reasons=reasons(_NOTHING_YET, limits.aftermath, clipped=clipped, rollover=False),
         )
+        return impact, odds
+
+    def _parked(self, t_ns: int) -> bool:
+        if self._ignition is not None:
+            return not self._ignition
+        return bool(t_ns - self._registers[trigger.MOVED] > _ns(self._limits.aftermath.parked_s))
+
+    @property
+    def _opened(self) -> _Open:
+        assert self._open is not None
+        return self._open
+
+    def _begin(self, impact: Impact, odds: float, row: int, found: Findings) -> None:
+        """Tell a new accident; one that is still open is closed first."""
+        if self._open is not None:
+            self._close(row, found)
+        self._open = _Open(impact, odds, impact.decided_t_ns)
+        self._registers[trigger.OPEN], self._registers[trigger.OPEN_FROM] = 1, impact.decided_t_ns
+        self._marks[[trigger.LEAST_SPEED, trigger.MOST_SPEED]] = math.nan
+        self._marks[[trigger.MOST_ROUGH, trigger.TURNED, trigger.LONGEST_REST]] = 0.0
+        found.impacts.append(impact)
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Follow the open accident from its latest impact on; the shock around it is its own."""
+        until_ns = self._opened.last_ns + _ns(self._limits.aftermath.follow_s)
+        self._registers[trigger.OPEN_UNTIL] = until_ns
+        self._registers[[trigger.SHOCK_START, trigger.HARD_SINCE, trigger.HARD_UNTIL]] = NEVER
+        self._weak = None
+
+    def _update(self, impact: Impact, odds: float, row: int, found: Findings, impacts: int | None = None) -> None:
+        """Tell the open accident again, with what is known now."""
+        was = self._opened
+        impact = replace(
+            impact,
+            revision=was.impact.revision + 1,
+            impacts=was.impact.impacts if impacts is None else impacts,
+            kind=was.impact.kind,
+            rollover=was.impact.rollover or impact.rollover,
+            confidence=probability(odds),
+            speed_before_mps=was.impact.speed_before_mps,
+            paper_agrees=was.impact.paper_agrees or impact.paper_agrees,
+        )
+        self._open = replace(was, impact=impact, odds=odds, last_ns=int(self._level.t_ns[row]))
+        found.impacts.append(impact)
+        self._go_on()
+
+    def _add(self, impact: Impact, odds: float, row: int, found: Findings) -> None:
+        """A further impact of the open accident: told at once where it is worse, counted where it is not."""
+        was = self._opened
+        count, odds = was.impact.impacts + 1, max(odds, was.odds)
+        if impact.delta_v_mps > was.impact.delta_v_mps:
+            self._update(replace(impact, t_ns=was.impact.t_ns), odds, row, found, impacts=count)
+            return
+        self._open = replace(was, impact=replace(was.impact, impacts=count), odds=odds, last_ns=impact.decided_t_ns)
+        self._go_on()
+
+    def _dismiss(self, impact: Impact, odds: float, told: bool, row: int, found: Findings) -> None:
+        """Keep a pulse that was none, until the shock around it is over; retract what was told of it too early."""
+        registers = self._registers
+        if self._open is not None and not told:
+            return
+        if self._weak is None or odds > self._weak.odds:
+            delta_v, agrees = impact.delta_v_mps, impact.paper_agrees
+            self._weak = _Weak(impact.t_ns, odds, delta_v, impact.duration_s, impact.peak_mps2, agrees)
+        if told:
+            self._finish(replace(impact, t_ns=self._opened.impact.t_ns), odds, Status.RETRACTED, found)
+        if registers[trigger.SHOCK_START] == NEVER:
+            registers[trigger.SHOCK_START], registers[trigger.SHOCKS] = impact.t_ns, 1
+        registers[trigger.SHOCK_LAST] = self._level.t_ns[row]
+
+    def _close(self, row: int, found: Findings) -> None:
+        """Confirm or retract the open accident by what followed it."""
+        was, limits, marks = self._opened, self._limits, self._marks
+        now = int(self._level.t_ns[row])
+        after = Aftermath(
+            seen_s=(now - was.impact.t_ns) * 1e-9,
+            speed_before_mps=was.impact.speed_before_mps,
+            least_speed_mps=float(marks[trigger.LEAST_SPEED]),
+            rest_s=float(marks[trigger.LONGEST_REST]),
+            turned_rad=float(marks[trigger.TURNED]),
+            airbag=was.airbag,
+            power_loss=was.power_loss,
+        )
+        odds = followed(was.odds, after, limits.judgement, limits.aftermath)
+        status = Status.CONFIRMED if probability(odds) >= limits.judgement.tell else Status.RETRACTED
+        told = reasons(after, limits.aftermath, clipped=was.impact.clipped, rollover=was.impact.rollover)
+        self._finish(replace(was.impact, decided_t_ns=now, reasons=told), odds, status, found)
+
+    def _finish(self, impact: Impact, odds: float, status: Status, found: Findings) -> None:
+        was = self._opened
+        confidence = probability(odds)
+        impact = replace(impact, status=status, confidence=confidence, revision=was.impact.revision + 1)
+        found.impacts.append(impact)
+        self._open, self._registers[trigger.OPEN] = None, 0
+        if status is Status.RETRACTED and self._weak is None:
+            felt = (impact.delta_v_mps, 0.0, impact.peak_mps2, impact.duration_s)
+            paper = impact.paper_agrees
+            found.candidates.append(
+                Candidate(
+                    impact.t_ns, impact.decided_t_ns, NoAccident.UNEXPLAINED, confidence, *felt,
+                    impact.speed_before_mps, paper,
+                )
+            )  # fmt: skip
+
+    def _name_shocks(self, row: int, found: Findings) -> None:
+        """Tell what a shock, or a train of them, was; what belongs to an accident is no candidate."""
+        registers, level, weak = self._registers, self._level, self._weak
+        start_ns, last_ns = int(registers[trigger.SHOCK_START]), int(registers[trigger.SHOCK_LAST])
+        registers[trigger.SHOCK_START], self._weak = NEVER, None
+        if self._open is not None:
+            return
+        shock, swing_mps, delta_v_mps, duration_s = read_shock(
+            level.t_ns, level.x, level.flags, start_ns, last_ns,
+            shocks=int(registers[trigger.SHOCKS]),
+            fell=start_ns - registers[trigger.FELL] < _ns(FELL_BEFORE_S),
+            moved=start_ns - registers[trigger.MOVED] < _ns(self._limits.aftermath.parked_s),
+            towed=bool(self._seen_flags & FLAG_TOW),
+        )  # fmt: skip
+        found.candidates.append(
+            Candidate(
+                t_ns=start_ns if weak is None else weak.t_ns,
+                decided_t_ns=int(level.t_ns[row]),
+                reason=name(shock, self._limits.naming),
+                probability=0.0 if weak is None else probability(weak.odds),
+                delta_v_mps=delta_v_mps if weak is None else weak.delta_v_mps,
+                vertical_mps=swing_mps,
+                peak_mps2=max(shock.vertical_mps2, shock.horizontal_mps2),
+                duration_s=duration_s if weak is None else weak.duration_s,
+                speed_before_mps=shock.speed_mps,
+                paper_agrees=False if weak is None else weak.paper_agrees,
+            )
+        )
+
+    def _name_manoeuvre(self, row: int, found: Findings) -> None:
+        """Tell emergency braking and hard cornering, unless it was an accident's."""
+        registers, marks, level = self._registers, self._marks, self._level
+        since_ns, until_ns = int(registers[trigger.HARD_SINCE]), int(registers[trigger.HARD_UNTIL])
+        registers[[trigger.HARD_SINCE, trigger.HARD_UNTIL]] = NEVER
+        forward, right = float(marks[trigger.HARD_X]), float(marks[trigger.HARD_Y])
+        reason = manoeuvre(forward, right, self._limits.naming)
+        if self._open is not None or reason is NoAccident.UNEXPLAINED:
+            return
+        first = min(int(np.searchsorted(level.t_ns, since_ns)), row)
+        peak, duration_s = math.hypot(forward, right), (until_ns - since_ns) * 1e-9
+        found.candidates.append(
+            Candidate(
+                t_ns=since_ns,
+                decided_t_ns=int(level.t_ns[row]),
+                reason=reason,
+                probability=0.0,
+                delta_v_mps=peak * duration_s,
+                vertical_mps=0.0,
+                peak_mps2=peak,
+                duration_s=duration_s,
+                speed_before_mps=float(level.x[first, SPEED]),
+                paper_agrees=paper_rule.holds_within(level.x, first, row, self._limits.paper),
+            )
+        )
+
+    def _lies(self, row: int, found: Findings) -> None:
+        """The vehicle lies on its side or roof; or the box does, which had stood, fell or spun as no car does."""
+        registers, level, limits = self._registers, self._level, self._limits
+        since_ns, now = int(registers[trigger.TILTED]), int(level.t_ns[row])
+        if self._open is not None:
+            was = self._open
+            severity = max(was.impact.severity, Severity.SEVERE, key=_RANKS.index)
+            impact = replace(was.impact, decided_t_ns=now, rollover=True, severity=severity)
+            self._update(impact, max(was.odds, ROLLOVER_ODDS), row, found)
+            return
+        first = int(np.searchsorted(level.t_ns, since_ns - _ns(1.0)))
+        shock, swing_mps, delta_v_mps, _ = read_shock(
+            level.t_ns, level.x, level.flags, since_ns - _ns(1.0), since_ns,
+            shocks=0,
+            fell=since_ns - registers[trigger.FELL] < _ns(FELL_BEFORE_S),
+            moved=since_ns - registers[trigger.MOVED] < _ns(limits.aftermath.parked_s),
+            towed=bool(self._seen_flags & FLAG_TOW),
+        )  # fmt: skip
+        rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
+        loose = shock.stood or shock.fell or rate > 2.0 * limits.judgement.rotation_radps
+        speed_mps = float(level.x[first, SPEED])
+        agrees = paper_rule.holds_within(level.x, first, row, limits.paper)
+        if loose:
+            reason = NoAccident.BOX_DROPPED if shock.fell else NoAccident.BOX_KNOCKED
+            found.candidates.append(
+                Candidate(
+                    since_ns, now, reason, probability(LOOSE_ODDS), delta_v_mps, swing_mps,
+                    shock.horizontal_mps2, (now - since_ns) * 1e-9, speed_mps, agrees,
+                )
+            )  # fmt: skip
+            return
+        impact = Impact(
+            t_ns=since_ns,
+            decided_t_ns=now,
+            detector=NAME,
+            severity=Severity.SEVERE,
+            confidence=probability(ROLLOVER_ODDS),
+            delta_v_mps=delta_v_mps,
+            delta_v_sd_mps=delta_v_mps,
+            delta_v_b_mps=(0.0, 0.0),
+            pdof_deg=0.0,
+            peak_mps2=shock.horizontal_mps2,
+            duration_s=(now - since_ns) * 1e-9,
+            clipped=bool((level.flags[first : row + 1] & CLIPPED).any()),
+            speed_before_mps=speed_mps,
+            paper_agrees=agrees,
+            kind=Kind.ROLLOVER,
+            delta_v_interval_mps=(0.0, 3.0 * delta_v_mps),
+            pdof_sd_deg=math.nan,
+            rollover=True,
+        )
+        self._begin(impact, ROLLOVER_ODDS, row, found)
+
+    def _take_flags(self, flags: int, found: Findings) -> None:
+        """An airbag or a loss of power makes an open accident surer, and is told at once."""
+        new = flags & (FLAG_AIRBAG | FLAG_POWER_LOSS) & ~self._seen_flags
+        self._seen_flags |= new
+        if not new or self._open is None:
+            return
+        was, row = self._open, len(self._level.t_ns) - 1
+        self._open = replace(
+            was, airbag=was.airbag or bool(new & FLAG_AIRBAG), power_loss=was.power_loss or bool(new & FLAG_POWER_LOSS)
+        )
+        if new & FLAG_AIRBAG:
+            told = ("airbag deployed", *was.impact.reasons)
+            odds = was.odds + self._limits.judgement.flagged
+            impact = replace(was.impact, decided_t_ns=int(self._level.t_ns[row]), reasons=told)
+            self._update(impact, odds, row, found)
+
+
+FELL_BEFORE_S: Final = 0.6
+"""How long before a shock a fall is its cause, s: it ends a fall of up to a metre. A choice."""
+
+_NOTHING_YET: Final = Aftermath(0.0, math.nan, math.nan, 0.0, 0.0, airbag=False, power_loss=False)
 
 
 def _ns(seconds: float) -> int:
     return round(seconds * 1e9)
 
 
-@njit(cache=True, nogil=True)
-def _scan(
-    t_ns: TimeArray,
-    x: FloatArray,
-    flags: Flags,
-    row: int,
-    registers: TimeArray,
-    tyre_mps2: float,
-    margin_mps: float,
-    shortest_ns: int,
-    longest_ns: int,
-    settled_ns: int,
-    decide_ns: int,
-    slow_decide_ns: int,
-) -> tuple[int, int]:
-    """Go on from ``row`` to where a suspected impact is to be decided.
-
-    Returns that row and the last one that counts as evidence, or the number of rows twice.
-    """
-    rows = t_ns.shape[0]
-    tyre2 = tyre_mps2 * tyre_mps2
-    while row < rows:
-        now = t_ns[row]
-        hot = x[row, A_X] * x[row, A_X] + x[row, A_Y] * x[row, A_Y] > tyre2
-        gap = flags[row] & GAP
-        if registers[_PENDING]:
-            if gap:  # what came after the silence says nothing about the pulse
-                return row, row - 1
-            if hot:
-                registers[_HOT] = now
-            latest = max(registers[_START] + decide_ns, registers[_SUSPECTED] + slow_decide_ns)
-            if now - registers[_HOT] >= settled_ns or now >= latest:
-                return row, row
-        else:
-            if hot:
-                registers[_HOT] = now
-            # A window's excess can only grow at a sample beyond the tyres' reach, so quiet samples need no search;
-            # only the shortest window is still to be filled up after one.
-            if now - registers[_HOT] <= shortest_ns and not gap:
-                most = margin_mps
-                back = row - 1
-                while back >= 0:
-                    window = now - t_ns[back]
-                    if window > longest_ns or t_ns[back] < registers[_FLOOR]:
-                        break
-                    if window >= shortest_ns:
-                        change = math.hypot(x[row, V_X] - x[back, V_X], x[row, V_Y] - x[back, V_Y])
-                        excess = change - tyre_mps2 * (window * 1e-9)
-                        if excess > most:
-                            most = excess
-                            registers[_PENDING], registers[_SUSPECTED], registers[_START] = 1, now, t_ns[back]
-                    if flags[back] & GAP:
-                        break
-                    back -= 1
-        row += 1
-    return rows, rows
+def _open_from(kept: dict[str, Any]) -> _Open:
+    """What ``asdict`` and JSON made of an open accident."""
+    impact = dict(kept["impact"])
+    for field in ("delta_v_b_mps", "delta_v_interval_mps", "reasons"):
+        impact[field] = tuple(impact[field])
+    impact |= {
+        "severity": Severity(impact["severity"]), "kind": Kind(impact["kind"]), "status": Status(impact["status"])
+    }  # fmt: skip
+    impact["injury"] = None if impact["injury"] is None else InjuryRisk(**impact["injury"])
+    return _Open(**(kept | {"impact": Impact(**impact)}))

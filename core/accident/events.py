@@ -1,9 +1,11 @@
-"""What an accident detector says: an impact in the vehicle's own frame, without a place."""
+"""What an accident detector says: impacts, and what felt like one and was none, in the vehicle's own frame."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 from core.measurements import FloatArray, TimeArray
 
@@ -14,6 +16,41 @@ class Severity(StrEnum):
     LOW_SPEED = "low_speed"
     SEVERE = "severe"
     AIRBAG = "airbag"
+
+
+class Kind(StrEnum):
+    """What happened: a collision on the road, one of a parked vehicle that was hit, or a rollover without either."""
+
+    COLLISION = "collision"
+    PARKED_HIT = "parked_hit"
+    ROLLOVER = "rollover"
+
+
+class Status(StrEnum):
+    """How far an accident is known: told at once as suspected, then confirmed or retracted by what followed."""
+
+    SUSPECTED = "suspected"
+    CONFIRMED = "confirmed"
+    RETRACTED = "retracted"
+
+
+class NoAccident(StrEnum):
+    """What feels like an accident and is none; ``UNEXPLAINED`` fits no class and is too weak to be told."""
+
+    POTHOLE = "pothole"
+    SPEED_BUMP = "speed_bump"
+    KERB = "kerb"
+    RAILWAY_CROSSING = "railway_crossing"
+    VIBRATION_TRAIN = "vibration_train"
+    DOOR_SLAM = "door_slam"
+    EMERGENCY_BRAKING = "emergency_braking"
+    HARD_CORNERING = "hard_cornering"
+    TOWING = "towing"
+    FERRY = "ferry"
+    BOX_KNOCKED = "box_knocked"
+    BOX_DROPPED = "box_dropped"
+    SENSOR_GLITCH = "sensor_glitch"
+    UNEXPLAINED = "unexplained"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +67,8 @@ class VehicleMotion:
     speed_mps : (n,) fused horizontal speed; NaN while unknown
     gravity_mps2 : local gravity
     saturated : (n,) uint8, 1 where an axis of the accelerometer read its full scale
+    ignition : whether it is on; None while unknown
+    flags : bits ``FLAG_AIRBAG``, ``FLAG_POWER_LOSS``, ``FLAG_TOW`` of ``core.measurements``
     """
 
     t_ns: TimeArray
@@ -39,17 +78,40 @@ class VehicleMotion:
     speed_mps: FloatArray
     saturated: FloatArray
     gravity_mps2: float
+    ignition: bool | None = None
+    flags: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class InjuryRisk:
+    """Probability of an injury of MAIS 3 or worse to a front occupant, with its 95 % interval and where it is from."""
+
+    probability: float
+    low: float
+    high: float
+    source: str
 
 
 @dataclass(frozen=True, slots=True)
 class Impact:
-    """One accident as felt by the vehicle.
+    """One accident as felt by the vehicle, as far as it is known at ``decided_t_ns``.
 
-    ``t_ns`` is the impact's start, ``decided_t_ns`` the sample at which it was decided.
-    ``delta_v_b_mps`` is forward and right change of velocity; ``delta_v_mps`` its length with
-    ``delta_v_sd_mps``. ``pdof_deg`` is where the force came from, clockwise seen from above:
-    0 front, 90 right, 180 rear, 270 left. ``confidence`` is in 0..1. An accident whose later impact is worse
-    than what was told is told again: the same ``t_ns``, the next ``revision``.
+    An accident is told at once as suspected (``revision`` 0) and again, with the same ``t_ns`` and the next
+    ``revision``, as more is known: its whole pulse, later impacts that belong to it, what followed.
+
+    Parameters
+    ----------
+    t_ns : start of the first impact
+    decided_t_ns : the sample at which this was known
+    delta_v_mps, delta_v_sd_mps : length of the worst impact's change of horizontal velocity
+    delta_v_b_mps : its forward and right part
+    pdof_deg : where the force came from, clockwise seen from above: 0 front, 90 right, 180 rear, 270 left
+    confidence : probability in 0..1 that it was an accident
+    delta_v_interval_mps : 95 % interval of ``delta_v_mps``; wide where the pulse clipped
+    pdof_sd_deg : spread of the direction; NaN while unknown
+    impacts : how many impacts belong to it so far
+    rollover : whether the vehicle tipped over
+    reasons : what speaks for and against it, in the words of ``core.accident.judgement``
     """
 
     t_ns: int
@@ -67,3 +129,37 @@ class Impact:
     speed_before_mps: float
     paper_agrees: bool
     revision: int = 0
+    kind: Kind = Kind.COLLISION
+    status: Status = Status.SUSPECTED
+    delta_v_interval_mps: tuple[float, float] = (math.nan, math.nan)
+    pdof_sd_deg: float = math.nan
+    impacts: int = 1
+    rollover: bool = False
+    injury: InjuryRisk | None = None
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """What felt like an accident and was judged to be none: kept, so that a reviewer can look.
+
+    Velocities are changes over the shock, horizontal and vertical; ``probability`` is that of an accident.
+    """
+
+    t_ns: int
+    decided_t_ns: int
+    reason: NoAccident
+    probability: float
+    delta_v_mps: float
+    vertical_mps: float
+    peak_mps2: float
+    duration_s: float
+    speed_before_mps: float
+    paper_agrees: bool
+
+
+class Findings(NamedTuple):
+    """What some samples decided: accidents told or told again, and what was judged to be none."""
+
+    impacts: list[Impact]
+    candidates: list[Candidate]

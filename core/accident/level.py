@@ -14,12 +14,17 @@ from core.accident.events import VehicleMotion
 from core.accident.thresholds import LevelThresholds
 from core.measurements import FloatArray, TimeArray
 
-A_X, A_Y, A_Z, V_X, V_Y, SPEED, YAW_RATE, HEADING_COS, HEADING_SIN = range(9)
-COLUMNS: Final = 9
+A_X, A_Y, A_Z, V_X, V_Y, V_Z, SPEED, YAW_RATE, ROLL_RATE, PITCH_RATE = range(10)
+FORCE, UPRIGHT, REST_S, SLOW_X, SLOW_Y, ROUGH, CLIP_S, HEADING_COS, HEADING_SIN = range(10, 19)
+COLUMNS: Final = 19
 """Columns of ``LevelMotion.x``. ``A`` is acceleration, m/s2, gravity removed, in the level frame: z down, x along the
-vehicle's heading when the series began, so that a spinning car's change of velocity adds up. ``V`` is its horizontal
-integral, m/s, with clipped samples at ``clipped_gain`` times what they read: for suspecting only. ``SPEED``
-is the fused speed, ``YAW_RATE`` the rate about the body's z axis, rad/s, ``HEADING`` the vehicle's in that frame."""
+vehicle's heading when the series began, so that a spinning car's change of velocity adds up. ``V`` is its integral,
+m/s. ``SPEED`` is the fused speed, ``YAW_RATE``, ``ROLL_RATE`` and ``PITCH_RATE`` are the rates about the body's axes,
+rad/s, ``FORCE`` is the length of the specific force. ``UPRIGHT`` is the cosine between the vertical and where it
+usually is in the body, ``REST_S`` for how long the vehicle has stood, s. ``SLOW`` is the horizontal acceleration of
+the last ``slow_s``, what brakes, engine and steering do; ``ROUGH`` the mean square of the vertical one over
+``rough_s``. ``CLIP_S`` is for how long an axis has read its full scale, s; ``HEADING`` is the vehicle's in the level
+frame."""
 
 CLIPPED: Final = 1
 """Bit of ``LevelMotion.flags``: the accelerometer read its full scale in the horizontal plane."""
@@ -52,7 +57,7 @@ class LevelMotion:
 
     def __init__(self, thresholds: LevelThresholds) -> None:
         self._thresholds = thresholds
-        self._down_b: FloatArray = np.full(3, np.nan)
+        self._down_b: FloatArray = np.full((2, 3), np.nan)
         self.t_ns: TimeArray = np.empty(0, dtype=np.int64)
         self.x: FloatArray = np.empty((0, COLUMNS))
         self.flags: Flags = np.empty(0, dtype=np.uint8)
@@ -78,7 +83,14 @@ class LevelMotion:
             limits.levelling_s,
             limits.levelling_band_mps2,
             limits.clipped_from_mps2,
-            limits.clipped_gain,
+            np.array(
+                [
+                    limits.usual_s,
+                    limits.standing_mps,
+                    limits.slow_s,
+                    limits.rough_s,
+                ]
+            ),
             self._down_b,
             old,
             t_ns,
@@ -89,8 +101,8 @@ class LevelMotion:
         return int(old)
 
     def turn(self, C_new_from_old: FloatArray) -> None:
-        """Take samples in other body axes from now on: only the carried vertical is in them, rows are level."""
-        self._down_b = np.sum(C_new_from_old * self._down_b, axis=1)
+        """Take samples in other body axes from now on: only the carried verticals are in them, rows are level."""
+        self._down_b = np.array([np.sum(C_new_from_old * down_b, axis=1) for down_b in self._down_b])
 
     def state(self) -> dict[str, npt.NDArray[np.generic]]:
         """Arrays from which ``load`` goes on."""
@@ -123,14 +135,20 @@ def _extend(
     levelling_s: float,
     band_mps2: float,
     clipped_from_mps2: float,
-    clipped_gain: float,
-    down: FloatArray,
+    context: FloatArray,
+    downs: FloatArray,
     row: int,
     t_ns: TimeArray,
     x: FloatArray,
     flags: Flags,
 ) -> int:
-    """Fill rows from ``row`` on; return the row after the last. ``down`` (3,) is the carried vertical, kept up."""
+    """Fill rows from ``row`` on; return the row after the last.
+
+    ``downs`` (2, 3) are the carried vertical and where it usually is, kept up. ``context`` (4,): the time over which
+    the usual one follows, s, below which speed a vehicle stands, m/s, and the times of the two means, s.
+    """
+    down, usual = downs[0], downs[1]
+    usual_s, standing_mps, slow_s, rough_s = context
     for i in range(in_t_ns.shape[0]):
         fx, fy, fz = f_b[i, 0], f_b[i, 1], f_b[i, 2]
         p, q, r = omega_b[i, 0], omega_b[i, 1], omega_b[i, 2]
@@ -189,12 +207,35 @@ def _extend(
         if first:
             x[row, V_X], x[row, V_Y] = 0.0, 0.0
         else:
-            now = clipped_gain if flag & CLIPPED else 1.0
-            before = clipped_gain if flags[row - 1] & CLIPPED else 1.0
             half = 0.5 * min(dt, gap_s)
-            x[row, V_X] = x[row - 1, V_X] + half * (now * x[row, A_X] + before * x[row - 1, A_X])
-            x[row, V_Y] = x[row - 1, V_Y] + half * (now * x[row, A_Y] + before * x[row - 1, A_Y])
-        x[row, SPEED], x[row, YAW_RATE] = speed_mps[i], r
+            x[row, V_X] = x[row - 1, V_X] + half * (x[row, A_X] + x[row - 1, A_X])
+            x[row, V_Y] = x[row - 1, V_Y] + half * (x[row, A_Y] + x[row - 1, A_Y])
+        step = min(dt, gap_s)
+        x[row, V_Z] = 0.0 if first else x[row - 1, V_Z] + 0.5 * step * (x[row, A_Z] + x[row - 1, A_Z])
+        x[row, SPEED], x[row, YAW_RATE], x[row, ROLL_RATE], x[row, PITCH_RATE] = speed_mps[i], r, p, q
+        force = math.sqrt(fx * fx + fy * fy + fz * fz)
+        x[row, FORCE] = force
+        if not math.isfinite(usual[0]):
+            usual[0], usual[1], usual[2] = dx, dy, dz
+        x[row, UPRIGHT] = usual[0] * dx + usual[1] * dy + usual[2] * dz
+        if x[row, UPRIGHT] > 0.9 and abs(force - gravity_mps2) < band_mps2:
+            share = step / (usual_s + step)
+            ex = usual[0] + share * (dx - usual[0])
+            ey = usual[1] + share * (dy - usual[1])
+            ez = usual[2] + share * (dz - usual[2])
+            norm = max(math.sqrt(ex * ex + ey * ey + ez * ez), 1e-9)
+            usual[0], usual[1], usual[2] = ex / norm, ey / norm, ez / norm
+        if first:
+            x[row, SLOW_X], x[row, SLOW_Y], x[row, ROUGH] = 0.0, 0.0, 0.0
+        else:
+            slow, rough = step / (slow_s + step), step / (rough_s + step)
+            x[row, SLOW_X] = x[row - 1, SLOW_X] + slow * (x[row, A_X] - x[row - 1, SLOW_X])
+            x[row, SLOW_Y] = x[row - 1, SLOW_Y] + slow * (x[row, A_Y] - x[row - 1, SLOW_Y])
+            x[row, ROUGH] = x[row - 1, ROUGH] + rough * (x[row, A_Z] * x[row, A_Z] - x[row - 1, ROUGH])
+        # A car that cruises on a smooth road feels like one that stands: only the filter's speed tells.
+        stands = speed_mps[i] < standing_mps
+        x[row, CLIP_S] = x[row - 1, CLIP_S] + dt if saturated[i] != 0 and not first else 0.0
+        x[row, REST_S] = x[row - 1, REST_S] + dt if stands and not first else 0.0
         x[row, HEADING_COS], x[row, HEADING_SIN] = cos, sin
         t_ns[row], flags[row] = in_t_ns[i], flag
         row += 1

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from core.accident.events import Impact, VehicleMotion
+from core.accident.events import Findings, Impact, Status, VehicleMotion
 from core.accident.level import (
     A_X,
     A_Y,
@@ -50,11 +50,11 @@ class PaperRule:
         self._level = LevelMotion(self._thresholds.level)
         self._registers = np.array([0, 0, _NEVER], dtype=np.int64)
 
-    def step(self, motion: VehicleMotion) -> list[Impact]:
+    def step(self, motion: VehicleMotion) -> Findings:
         """Take the next samples, in time order; return the impacts decided in them."""
         limits, level = self._thresholds, self._level
         row = level.extend(motion)
-        impacts: list[Impact] = []
+        found = Findings([], [])
         while True:
             row = _scan(
                 level.t_ns,
@@ -68,8 +68,8 @@ class PaperRule:
                 round(1e9 * limits.grouping_s),
             )
             if row == level.t_ns.shape[0]:
-                return impacts
-            impacts.append(self._impact(row))
+                return found
+            found.impacts.append(self._impact(row))
             row += 1
 
     def turn(self, C_new_from_old: FloatArray) -> None:
@@ -109,6 +109,7 @@ class PaperRule:
             clipped=clipped,
             speed_before_mps=float(level.x[held, SPEED]),
             paper_agrees=True,
+            status=Status.CONFIRMED,
         )
 
 

@@ -1,15 +1,16 @@
-"""Where an accident was: its impact put onto the track."""
+"""Where an accident was: an impact, or what was taken for none, put onto the track."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Final
 
 import numpy as np
 
-from core.accident.events import Impact
+from core.accident.events import Candidate, Impact
 from core.earth import radii_m
+from core.measurements import FloatArray
 from core.navigation.alignment import next_second_ns
 from core.navigation.track import TRACK, Mode, Track
 
@@ -22,13 +23,9 @@ UNSEEN_MPS: Final = 15.0
 
 
 @dataclass(frozen=True, slots=True)
-class Accident:
-    """An impact with its place: where the vehicle was at ``impact.t_ns``, and how sure that is.
+class Place:
+    """Where the vehicle was at a time, and how sure that is. Angles rad, spreads m; NaN where no fix had come yet."""
 
-    Without any fix yet the place is NaN. Angles rad, spreads m.
-    """
-
-    impact: Impact
     lat_rad: float
     lon_rad: float
     alt_m: float
@@ -37,6 +34,32 @@ class Accident:
     cov_ne_m2: float
     heading_rad: float
     mode: Mode
+
+    def as_array(self) -> FloatArray:
+        """Its fields in their order, (8,)."""
+        return np.array(astuple(self), dtype=np.float64)
+
+    @classmethod
+    def from_array(cls, values: FloatArray) -> Place:
+        """What ``as_array`` gave."""
+        lat_rad, lon_rad, alt_m, sd_n_m, sd_e_m, cov_ne_m2, heading_rad, mode = values.tolist()
+        return cls(lat_rad, lon_rad, alt_m, sd_n_m, sd_e_m, cov_ne_m2, heading_rad, Mode(int(mode)))
+
+
+@dataclass(frozen=True, slots=True)
+class Accident:
+    """An impact with its place at ``impact.t_ns``."""
+
+    impact: Impact
+    place: Place
+
+
+@dataclass(frozen=True, slots=True)
+class Suppressed:
+    """What felt like an accident and was none, with its place at ``candidate.t_ns``."""
+
+    candidate: Candidate
+    place: Place
 
 
 def newest(track: Track, span_s: float) -> Track:
@@ -57,26 +80,25 @@ def told_until(track: Track, t_ns: int) -> Track:
     return Track(track.t_ns[:count], track.values[:count])
 
 
-def placed(impact: Impact, track: Track) -> Accident:
-    """Where the vehicle was when the impact began: the row before it, carried on by its velocity.
+def place_at(t_ns: int, track: Track) -> Place:
+    """Where the vehicle was at a time: the row before it, carried on by its velocity.
 
     Where rows have ceased (the filter aligns anew), the last one stays the best that is known; what the vehicle may
     have gone since is added to its spread instead.
     """
     if not len(track.t_ns):
         nan = math.nan
-        return Accident(impact, nan, nan, nan, nan, nan, nan, nan, Mode.ALIGNING)
-    at = max(int(np.searchsorted(track.t_ns, impact.t_ns, side="right")) - 1, 0)
+        return Place(nan, nan, nan, nan, nan, nan, nan, Mode.ALIGNING)
+    at = max(int(np.searchsorted(track.t_ns, t_ns, side="right")) - 1, 0)
     row = {name: float(track.values[at, index]) for name, index in TRACK.items()}
-    since_s = (impact.t_ns - int(track.t_ns[at])) * 1e-9
+    since_s = (t_ns - int(track.t_ns[at])) * 1e-9
     north_mps, east_mps, down_mps = (
         row[name] if math.isfinite(row[name]) else 0.0 for name in ("vn_mps", "ve_mps", "vd_mps")
     )
     ahead_s = since_s if abs(since_s) <= CARRIED_ON_S else 0.0
     gone_m = 0.0 if ahead_s == since_s else since_s * max(math.hypot(north_mps, east_mps), UNSEEN_MPS)
     meridian, transverse = radii_m(row["lat_rad"])
-    return Accident(
-        impact=impact,
+    return Place(
         lat_rad=row["lat_rad"] + north_mps * ahead_s / meridian,
         lon_rad=row["lon_rad"] + east_mps * ahead_s / (transverse * math.cos(row["lat_rad"])),
         alt_m=row["alt_m"] - down_mps * ahead_s,

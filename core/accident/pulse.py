@@ -8,31 +8,68 @@ from typing import Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from core.accident.level import A_X, A_Y, A_Z, CLIPPED, GAP, HEADING_COS, HEADING_SIN, LEVELLED, V_X, V_Y, Flags
+from core.accident.level import (
+    A_X,
+    A_Y,
+    A_Z,
+    CLIP_S,
+    CLIPPED,
+    FORCE,
+    GAP,
+    HEADING_COS,
+    HEADING_SIN,
+    LEVELLED,
+    PITCH_RATE,
+    REST_S,
+    ROLL_RATE,
+    SLOW_X,
+    SLOW_Y,
+    V_X,
+    V_Y,
+    V_Z,
+    YAW_RATE,
+    Flags,
+)
+from core.accident.thresholds import PulseThresholds, TriggerThresholds
 from core.measurements import FloatArray, TimeArray
 
 
 class Pulse(NamedTuple):
-    """A pulse between two rows. Velocities are changes along forward and right at its start, m/s."""
+    """A pulse between two rows. Velocities are changes along forward and right at its start, m/s.
+
+    ``beyond_mps`` is by how much the change exceeds what tyres, pedals and steering can. ``swing_mps`` is the range of
+    the vertical change of velocity around it, ``retained`` the share of the largest change that was kept, ``clipped_s``
+    how much of it clipped and ``clipping_s`` for how long an axis read its full scale at a stretch, ``abrupt`` the
+    acceleration right before and after as a share of its peak, ``rate_radps`` the fastest rotation and ``jolt_radps``
+    the largest change of it, ``stood`` whether the vehicle had stood before.
+    """
 
     first: int
     last: int
     forward_mps: float
     right_mps: float
-    vertical_mps: float
+    beyond_mps: float
+    swing_mps: float
     retained: float
     peak_mps2: float
     duration_s: float
     clipped_s: float
+    clipping_s: float
+    abrupt: float
+    rate_radps: float
+    jolt_radps: float
     levelled: bool
+    stood: bool
 
 
 class Whole(NamedTuple):
-    """A whole pulse estimated from its unclipped flanks: change of velocity with sd, m/s, its direction as a unit
-    vector forward and right, and its length, s."""
+    """A whole pulse estimated from its unclipped flanks: change of velocity with sd and 95 % interval, m/s, its
+    direction as a unit vector forward and right, and its length, s."""
 
     delta_v_mps: float
     sd_mps: float
+    low_mps: float
+    high_mps: float
     duration_s: float
     forward: float
     right: float
@@ -43,7 +80,7 @@ PULSE_MEDIAN_S: Final = 0.11
 gives way. A prior for clipped pulses only; an assumption, not fitted to a set of crashes."""
 PULSE_LOG_SD: Final = 0.35
 """Spread of the logarithm of that length: two thirds of pulses between 78 and 156 ms. A choice."""
-MISFIT: Final = 0.3
+MISFIT: Final = 0.4
 """How far a real pulse's flank strays from these shapes, of the level it clips at: structures ring. A choice, after
 NHTSA test 10146, whose flank at 2, 4 and 16 g leads and lags them by so much."""
 MISFIT_S: Final = 0.005
@@ -51,18 +88,27 @@ MISFIT_S: Final = 0.005
 FLANK_MPS2: Final = 5.0
 """Sum of the flanks' accelerations, m/s2, from which they tell a direction: well above vibration. A choice."""
 DELTA_V_MEDIAN_MPS: Final = 5.6
-DELTA_V_LOG_SD: Final = 0.9
-"""Changes of velocity that collisions bring, m/s, as a log-normal prior: two thirds between 2.3 and 14 m/s. A choice:
+DELTA_V_LOG_SD: Final = 1.0
+"""Changes of velocity that collisions bring, m/s, as a log-normal prior: two thirds between 2.1 and 15 m/s. A choice:
 about 20 km/h is usual where a car had to be towed, and few exceed 60 km/h."""
+SHAKEN_MPS: Final = 0.15
+SHAKEN: Final = 0.04
+"""Vertical change of velocity, m/s and as a share of the horizontal one, that a blow leaves and a horizontal axis
+that fails does not, but for what tilt lays into the vertical. A choice, after NHTSA test 10146 (0.07 and more)."""
 SHORTEST_S: Final = 0.02
 LONGEST_S: Final = 0.4
 """Lengths that the grid spans, s: wider than the prior by four of its sds. A choice."""
-STRONGEST: Final = 20.0
-"""Amplitudes that the grid spans, from one to so many levels of clipping: 40 g for 2 g. A choice."""
+STRONGEST_MPS2: Final = 70.0 * 9.80665
+"""Amplitudes that the grid spans, from what was read to this, m/s2: compartments of cars see 40 to 50 g against a rigid
+barrier at 56 km/h (NHTSA test 10146). A choice."""
 LENGTHS: Final = 40
 STARTS: Final = 16
 AMPLITUDES: Final = 40
 """Nodes of the grid over length, start (within the first flank's room) and amplitude."""
+BINS: Final = 160
+LOG_LEAST: Final = math.log(0.1)
+LOG_MOST: Final = math.log(100.0)
+"""Bins of the posterior for its quantiles: equal ones of the logarithm, 0.1 to 100 m/s."""
 
 
 @njit(cache=True, nogil=True)
@@ -72,83 +118,183 @@ def _along(x: FloatArray, row: int, ux: float, uy: float) -> float:
 
 
 @njit(cache=True, nogil=True)
+def unexplained(x: float, y: float, slow_x: float, slow_y: float) -> float:
+    """Length of what of (x, y) is neither (slow_x, slow_y) nor a part of it: the distance from the line to zero."""
+    slow2 = slow_x * slow_x + slow_y * slow_y
+    share = min(1.0, max(0.0, (x * slow_x + y * slow_y) / slow2)) if slow2 > 1e-12 else 0.0
+    return math.hypot(x - share * slow_x, y - share * slow_y)
+
+
+@njit(cache=True, nogil=True)
+def beyond(
+    change_mps: float,
+    own_mps: float,
+    window_s: float,
+    stood: bool,
+    tyre_mps2: float,
+    standing_mps2: float,
+    jerk_mps3: float,
+) -> float:
+    """By how much a change of velocity exceeds what tyres, pedals and steering can within a window, m/s.
+
+    ``own_mps`` is what of it is not explained by the acceleration that there was. See ``TriggerThresholds``.
+    """
+    moved = 0.5 * jerk_mps3 * window_s * window_s
+    if stood:
+        return own_mps - min(standing_mps2 * window_s, moved)
+    return max(change_mps - tyre_mps2 * window_s, own_mps - moved)
+
+
+@njit(cache=True, nogil=True)
+def core_rows(
+    t_ns: TimeArray, x: FloatArray, start: int, end: int, rest_s: float, reach: tuple[float, float, float]
+) -> tuple[int, int, float]:
+    """The two rows of ``start`` to ``end`` between which the velocity changed most beyond reach, and by how much."""
+    tyre, standing, jerk = reach
+    first, last, most = start, start, -math.inf
+    for i in range(start, end):
+        stood = x[i, REST_S] >= rest_s
+        for j in range(i + 1, end + 1):
+            w = (t_ns[j] - t_ns[i]) * 1e-9
+            vx, vy = x[j, V_X] - x[i, V_X], x[j, V_Y] - x[i, V_Y]
+            own = unexplained(vx, vy, x[i, SLOW_X] * w, x[i, SLOW_Y] * w)
+            value = beyond(math.hypot(vx, vy), own, w, stood, tyre, standing, jerk)
+            if value > most:
+                first, last, most = i, j, value
+    return first, last, most
+
+
+@njit(cache=True, nogil=True)
+def widened(
+    t_ns: TimeArray, x: FloatArray, flags: Flags, first: int, last: int, end: int, onset_mps2: float, onset_s: float
+) -> tuple[int, int]:
+    """The rows of a pulse around its core: while the acceleration along its direction exceeds what there was by
+    ``onset_mps2``, by at most ``onset_s`` on either side."""
+    since = (t_ns[last] - t_ns[first]) * 1e-9
+    slow_x, slow_y = x[first, SLOW_X], x[first, SLOW_Y]
+    ux, uy = x[last, V_X] - x[first, V_X] - slow_x * since, x[last, V_Y] - x[first, V_Y] - slow_y * since
+    norm = max(math.hypot(ux, uy), 1e-9)
+    ux, uy = ux / norm, uy / norm
+    slow = slow_x * ux + slow_y * uy
+    begin, stop = first, last
+    while (
+        begin > 0
+        and not flags[begin] & GAP
+        and (t_ns[first] - t_ns[begin - 1]) * 1e-9 <= onset_s
+        and _along(x, begin, ux, uy) - slow > onset_mps2
+    ):
+        begin -= 1
+    while (
+        stop < end and (t_ns[stop + 1] - t_ns[last]) * 1e-9 <= onset_s and _along(x, stop, ux, uy) - slow > onset_mps2
+    ):
+        stop += 1
+    return begin, stop
+
+
+@njit(cache=True, nogil=True)
 def measure(
     t_ns: TimeArray,
     x: FloatArray,
     flags: Flags,
-    start: int,
+    first: int,
+    last: int,
     end: int,
-    tyre_mps2: float,
-    onset_mps2: float,
-    onset_s: float,
-) -> tuple[int, int, float, float, float, float, float, float, bool]:
-    """Read a pulse that was suspected to begin at row ``start``, with rows up to ``end`` (inclusive) to see.
-
-    Its direction is that of the change of velocity; from where it exceeds ``tyre_mps2`` first and last it is
-    widened while the acceleration along that direction exceeds ``onset_mps2``, by at most ``onset_s``.
+    stood: bool,
+    friction_mps2: float,
+    around_ns: int,
+) -> tuple[float, float, float, float, float, float, float, float, float, bool]:
+    """Read a pulse between two rows, with rows up to ``end`` (inclusive) to see what became of it.
 
     Returns
     -------
-    first, last, dv_x, dv_y (level frame), largest vertical change, share of the largest change that was kept,
-    peak, clipped time (s), levelled
+    dv_x, dv_y (level frame), range of the vertical change within ``around_ns`` of it, share of the largest change that
+    was kept (what friction can take back is no loss), peak, clipped time (s), abruptness, fastest rotation and
+    largest change of it (rad/s), levelled
     """
-    hot_first, hot_last = -1, start
-    peak = 0.0
-    for k in range(start, end + 1):
-        a = math.hypot(x[k, A_X], x[k, A_Y])
-        peak = max(peak, a)
-        if a > tyre_mps2:
-            hot_last = k
-            if hot_first < 0:
-                hot_first = k
-    hot_first = max(hot_first, start)
-    ux, uy = x[hot_last, V_X] - x[start, V_X], x[hot_last, V_Y] - x[start, V_Y]
-    norm = max(math.hypot(ux, uy), 1e-9)
-    ux, uy = ux / norm, uy / norm
-
-    first = hot_first
-    while (
-        first > 0
-        and not flags[first] & GAP
-        and (t_ns[hot_first] - t_ns[first - 1]) * 1e-9 <= onset_s
-        and x[first - 1, A_X] * ux + x[first - 1, A_Y] * uy > onset_mps2
-    ):
-        first -= 1
-    if first > 0 and not flags[first] & GAP:
-        first -= 1
-    last = hot_last
-    while (
-        last < end
-        and (t_ns[last + 1] - t_ns[hot_last]) * 1e-9 <= onset_s
-        and x[last, A_X] * ux + x[last, A_Y] * uy > onset_mps2
-    ):
-        last += 1
-
-    dvx = dvy = dvz = largest_z = clipped_s = largest = 0.0
+    slow_x, slow_y = x[first, SLOW_X], x[first, SLOW_Y]
+    dvx = dvy = clipped_s = largest = peak = rate = jolt = 0.0
     levelled = False
-    for k in range(first + 1, last + 1):
-        dt = (t_ns[k] - t_ns[k - 1]) * 1e-9
-        dvx += 0.5 * dt * (x[k, A_X] + x[k - 1, A_X])
-        dvy += 0.5 * dt * (x[k, A_Y] + x[k - 1, A_Y])
-        dvz += 0.5 * dt * (x[k, A_Z] + x[k - 1, A_Z])
-        largest_z = max(largest_z, abs(dvz))
-        largest = max(largest, math.hypot(x[k, V_X] - x[first, V_X], x[k, V_Y] - x[first, V_Y]))
-        if flags[k] & LEVELLED:
-            levelled = True
+    for k in range(first + 1, end + 1):
+        since = (t_ns[k] - t_ns[first]) * 1e-9
+        vx, vy = x[k, V_X] - x[first, V_X] - slow_x * since, x[k, V_Y] - x[first, V_Y] - slow_y * since
+        largest = max(largest, math.hypot(vx, vy))
+        if k <= last:
+            dt = (t_ns[k] - t_ns[k - 1]) * 1e-9
+            dvx += 0.5 * dt * (x[k, A_X] + x[k - 1, A_X])
+            dvy += 0.5 * dt * (x[k, A_Y] + x[k - 1, A_Y])
+            peak = max(peak, math.hypot(x[k, A_X], x[k, A_Y]))
+            if flags[k] & LEVELLED:
+                levelled = True
+        p, q, r = x[k, ROLL_RATE], x[k, PITCH_RATE], x[k, YAW_RATE]
+        rate = max(rate, math.sqrt(p * p + q * q + r * r))
+        p, q, r = p - x[first, ROLL_RATE], q - x[first, PITCH_RATE], r - x[first, YAW_RATE]
+        jolt = max(jolt, math.sqrt(p * p + q * q + r * r))
     for k in range(first + 1, last + 1):
         if flags[k] & CLIPPED and _along(x, k, dvx, dvy) > 0.0:
             clipped_s += (t_ns[k] - t_ns[k - 1]) * 1e-9
-    for k in range(last + 1, end + 1):  # what was given back after, by a shock's swing
-        largest = max(largest, math.hypot(x[k, V_X] - x[first, V_X], x[k, V_Y] - x[first, V_Y]))
-    kept = math.hypot(x[end, V_X] - x[first, V_X], x[end, V_Y] - x[first, V_Y]) / max(largest, 1e-9)
-    return first, last, dvx, dvy, largest_z, kept, peak, clipped_s, levelled
+    # Brakes hold a car that was pushed from rest; and of a clipped pulse tyres take back much of what was read.
+    friction = friction_mps2 if stood else 0.5 * friction_mps2 if clipped_s > 0.0 else 0.0
+    left = largest
+    for k in range(last, end + 1):  # shaking swings back and forth again: the least that was left counts
+        since = (t_ns[k] - t_ns[first]) * 1e-9
+        vx, vy = x[k, V_X] - x[first, V_X] - slow_x * since, x[k, V_Y] - x[first, V_Y] - slow_y * since
+        left = min(left, math.hypot(vx, vy) + friction * (t_ns[k] - t_ns[last]) * 1e-9)
+    kept = left / max(largest, 1e-9)
+    begin = first
+    while begin > 0 and not flags[begin] & GAP and t_ns[first] - t_ns[begin - 1] <= around_ns:
+        begin -= 1
+    low = high = 0.0
+    for k in range(begin, end + 1):
+        low, high = min(low, x[k, V_Z] - x[first, V_Z]), max(high, x[k, V_Z] - x[first, V_Z])
+    abrupt = _abruptness(x, first, last, end, slow_x, slow_y, high - low, math.hypot(dvx, dvy))
+    return dvx, dvy, high - low, kept, peak, clipped_s, abrupt, rate, jolt, levelled
+
+
+@njit(cache=True, nogil=True)
+def _abruptness(
+    x: FloatArray, first: int, last: int, end: int, slow_x: float, slow_y: float, swing_mps: float, change_mps: float
+) -> float:
+    """Larger acceleration, without the slow one, of the samples just before and after a pulse, over its peak.
+
+    A converter that fails does so from one sample to the next; a body swells and rings, and shakes on all axes: what
+    varies without falling back between counts as 1. While the pulse goes on, that it shakes the vertical speaks for a
+    body, and that all axes are frozen against it.
+    """
+    peak, frozen = 0.0, 0
+    for k in range(first, last + 1):
+        peak = max(peak, math.hypot(x[k, A_X] - slow_x, x[k, A_Y] - slow_y))
+        if k > 0 and x[k, FORCE] == x[k - 1, FORCE]:
+            frozen += 1
+    enter, leave = first, last
+    while enter < last and math.hypot(x[enter, A_X] - slow_x, x[enter, A_Y] - slow_y) < 0.3 * peak:
+        enter += 1
+    while leave > enter and math.hypot(x[leave, A_X] - slow_x, x[leave, A_Y] - slow_y) < 0.3 * peak:
+        leave -= 1
+    lowest, varied = math.inf, False
+    for k in range(enter, leave + 1):
+        a = math.hypot(x[k, A_X] - slow_x, x[k, A_Y] - slow_y)
+        lowest, varied = min(lowest, a), varied or a < 0.8 * peak
+    if varied and lowest > 0.12 * peak:
+        return 1.0
+    if leave + 1 >= end:
+        if frozen > 1 and 2 * frozen > last - first:
+            return 0.0
+        if swing_mps > max(SHAKEN_MPS, SHAKEN * change_mps):
+            return 1.0
+    beside = 0.0
+    for k in (enter - 1, leave + 1):
+        if 0 <= k <= end:
+            ax, ay = x[k, A_X] - slow_x, x[k, A_Y] - slow_y
+            beside = max(beside, math.sqrt(ax * ax + ay * ay + x[k, A_Z] * x[k, A_Z]))
+    return beside / max(peak, 1e-9)
 
 
 @njit(cache=True, nogil=True)
 def fit_clipped(
     t_ns: TimeArray, x: FloatArray, flags: Flags, first: int, last: int, ux: float, uy: float
-) -> tuple[float, float, float, float, float]:
-    """Mean and sd of the change of velocity (m/s), mean length (s) and direction of a clipped pulse along (ux, uy).
+) -> tuple[float, float, float, float, float, float, float]:
+    """Mean, sd, 2.5 and 97.5 % quantiles of the change of velocity (m/s), mean length (s) and direction of a clipped
+    pulse along (ux, uy).
 
     Clipping one axis and not the other turns the readings away from the pulse's direction, so the flanks give it.
 
@@ -192,10 +338,13 @@ def fit_clipped(
     weight_of_one = min(1.0, spacing_s / MISFIT_S)
     room = max(-time[0], 1e-3) + 0.5 * spacing_s
     longest = max(LONGEST_S, 2.0 * clipped_s)
+    strongest = max(STRONGEST_MPS2 / level, 1.5)
 
+    weights = np.zeros(BINS)
     best = math.inf
     for stage in range(2):  # first the smallest cost, then the sums, so that exp() never overflows
         total = sum_v = sum_vv = sum_t = 0.0
+        weights[:] = 0.0
         for i in range(LENGTHS):
             length = SHORTEST_S * (longest / SHORTEST_S) ** (i / (LENGTHS - 1))
             if length < clipped_s:
@@ -209,7 +358,7 @@ def fit_clipped(
                         shape[k] = math.sin(math.pi * phase) ** power if 0.0 < phase < 1.0 else 0.0
                     area = 2.0 / math.pi if power == 1 else 0.5
                     for m in range(AMPLITUDES):
-                        amplitude = level * STRONGEST ** (m / (AMPLITUDES - 1))
+                        amplitude = level * strongest ** (m / (AMPLITUDES - 1))
                         delta_v = area * amplitude * length
                         cost = prior + (math.log(delta_v / DELTA_V_MEDIAN_MPS) / DELTA_V_LOG_SD) ** 2
                         for k in range(n):
@@ -221,12 +370,30 @@ def fit_clipped(
                         else:
                             weight = math.exp(-0.5 * (cost - best))
                             total += weight
+                            place = (math.log(delta_v) - LOG_LEAST) / (LOG_MOST - LOG_LEAST) * BINS
+                            weights[min(max(int(place), 0), BINS - 1)] += weight
                             sum_v += weight * delta_v
                             sum_vv += weight * delta_v * delta_v
                             sum_t += weight * length
     mean = sum_v / total
     misfit = MISFIT * level * hidden_s  # the flanks' misfit again, over what no flank shows
-    return mean, math.sqrt(max(sum_vv / total - mean * mean, 0.0) + misfit * misfit), sum_t / total, ux, uy
+    sd = math.sqrt(max(sum_vv / total - mean * mean, 0.0) + misfit * misfit)
+    low, high = _quantile(weights, 0.025 * total), _quantile(weights, 0.975 * total)
+    low = mean - math.hypot(mean - low, 1.96 * misfit)
+    high = mean + math.hypot(high - mean, 1.96 * misfit)
+    return mean, sd, low, high, sum_t / total, ux, uy
+
+
+@njit(cache=True, nogil=True)
+def _quantile(weights: FloatArray, share: float) -> float:
+    """Change of velocity, m/s, up to which the weights of the bins sum to ``share``."""
+    below = 0.0
+    for k in range(BINS):
+        if below + weights[k] >= share:
+            inside = (share - below) / max(weights[k], 1e-300)
+            return math.exp(LOG_LEAST + (LOG_MOST - LOG_LEAST) * (k + inside) / BINS)
+        below += weights[k]
+    return math.exp(LOG_MOST)
 
 
 def read_pulse(
@@ -235,13 +402,16 @@ def read_pulse(
     flags: Flags,
     start: int,
     end: int,
-    tyre_mps2: float,
-    onset_mps2: float,
-    onset_s: float,
+    trigger: TriggerThresholds,
+    limits: PulseThresholds,
 ) -> Pulse:
-    """``measure`` with its change of velocity turned into forward and right at the pulse's start."""
-    first, last, dvx, dvy, vertical, kept, peak, clipped_s, levelled = measure(
-        t_ns, x, flags, start, end, tyre_mps2, onset_mps2, onset_s
+    """A suspected pulse from row ``start``, seen up to row ``end``, turned into forward and right at its start."""
+    reach = (trigger.tyre_mps2, trigger.standing_mps2, trigger.jerk_mps3)
+    core_first, core_last, most = core_rows(t_ns, x, start, end, trigger.rest_s, reach)
+    first, last = widened(t_ns, x, flags, core_first, core_last, end, limits.onset_mps2, limits.onset_s)
+    stood = bool(x[core_first, REST_S] >= trigger.rest_s)
+    dvx, dvy, swing, kept, peak, clipped_s, abrupt, rate, jolt, levelled = measure(
+        t_ns, x, flags, first, last, end, stood, limits.friction_mps2, round(limits.around_s * 1e9)
     )
     cos, sin = float(x[first, HEADING_COS]), float(x[first, HEADING_SIN])
     return Pulse(
@@ -249,12 +419,18 @@ def read_pulse(
         last=last,
         forward_mps=dvx * cos + dvy * sin,
         right_mps=-dvx * sin + dvy * cos,
-        vertical_mps=vertical,
+        beyond_mps=most,
+        swing_mps=swing,
         retained=kept,
         peak_mps2=peak,
         duration_s=float(t_ns[last] - t_ns[first]) * 1e-9,
         clipped_s=clipped_s,
+        clipping_s=float(x[first : end + 1, CLIP_S].max()),
+        abrupt=abrupt,
+        rate_radps=rate,
+        jolt_radps=jolt,
         levelled=levelled,
+        stood=stood,
     )
 
 
@@ -264,5 +440,6 @@ def unclip(t_ns: TimeArray, x: FloatArray, flags: Flags, pulse: Pulse) -> Whole:
     norm = math.hypot(pulse.forward_mps, pulse.right_mps)
     forward, right = pulse.forward_mps / norm, pulse.right_mps / norm
     ux, uy = forward * cos - right * sin, forward * sin + right * cos
-    delta_v, sd, duration_s, ux, uy = fit_clipped(t_ns, x, flags, pulse.first, pulse.last, ux, uy)
-    return Whole(delta_v, sd, duration_s, forward=ux * cos + uy * sin, right=-ux * sin + uy * cos)
+    delta_v, sd, low, high, duration_s, ux, uy = fit_clipped(t_ns, x, flags, pulse.first, pulse.last, ux, uy)
+    seen = min(norm, delta_v)  # so much was read without guessing
+    return Whole(delta_v, sd, max(low, seen), high, duration_s, forward=ux * cos + uy * sin, right=-ux * sin + uy * cos)

@@ -30,13 +30,16 @@ class LevelThresholds(Tunables):
         high=200.0,
         source="choice, 1.5 g: of a box clipping at 2 g, a sample at full scale is a horizontal clip from here up",
     )
-    clipped_gain: float = tunable(
-        2.0,
-        unit="1",
-        low=1.0,
-        high=5.0,
-        source="choice: a haversine spends what it clips at about twice the level it clips at, for peaks of 2-4 levels",
+    usual_s: float = tunable(
+        30.0, unit="s", low=5.0, high=600.0, source="choice: longer than any tilt in a bend, shorter than a trip"
     )
+    standing_mps: float = tunable(
+        0.3, unit="m/s", low=0.05, high=1.0, source="choice: fused speeds of standing cars stay below 0.1 m/s"
+    )
+    slow_s: float = tunable(
+        0.3, unit="s", low=0.05, high=2.0, source="choice: brakes build up within it, a crash pulse is over"
+    )
+    rough_s: float = tunable(1.0, unit="s", low=0.1, high=10.0, source="choice: a car's length of road at walking pace")
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +98,13 @@ class PaperThresholds(Tunables):
 
 
 @dataclass(frozen=True, slots=True)
-class DetectorThresholds(Tunables):
-    """The project's own detector: a change of velocity that no tyre can bring about.
+class TriggerThresholds(Tunables):
+    """When something is looked at: a change of velocity that no tyre can bring about, a shock, a tilt, hard driving.
 
-    Over w seconds brakes and steering change the horizontal velocity by at most ``tyre_mps2`` times w. What
-    exceeds that by ``margin_mps``, in any window from ``shortest_s`` to ``longest_s``, was an impact.
+    Over w seconds brakes and steering change the horizontal velocity by at most ``tyre_mps2`` times w, and from the
+    acceleration that there was by at most ``jerk_mps3`` w^2 / 2, as neither pedal nor wheel moves at once; letting go
+    of them does. What exceeds either by ``margin_mps``, in a window of ``shortest_s`` to ``longest_s``, may have been
+    an impact. A vehicle that has stood for ``rest_s`` can only pull away: ``standing_mps2`` takes the tyres' place.
     """
 
     tyre_mps2: float = tunable(
@@ -110,11 +115,24 @@ class DetectorThresholds(Tunables):
         source="choice, 1.1 g: above emergency braking and cornering of cars on dry asphalt, about 1 g",
     )
     margin_mps: float = tunable(
-        0.6,
-        unit="m/s",
-        low=0.1,
-        high=5.0,
-        source="49 CFR 563.5: 8 km/h (2.22 m/s) within 150 ms triggers; 2.22 - 150 ms x tyre_mps2 leaves 0.60",
+        0.4, unit="m/s", low=0.05, high=5.0, source="choice: what potholes leave of a change of velocity after 50 ms"
+    )
+    jerk_mps3: float = tunable(
+        60.0, unit="m/s3", low=10.0, high=500.0, source="choice: brake assist builds up 1 g within 0.15 s"
+    )
+    hot_mps2: float = tunable(
+        4.0, unit="m/s2", low=1.0, high=10.0, source="choice: a pulse goes on while so far from what was there before"
+    )
+    rest_s: float = tunable(0.5, unit="s", low=0.1, high=5.0, source="choice: longer than a moment of no speed")
+    standing_mps2: float = tunable(
+        4.0,
+        unit="m/s2",
+        low=1.0,
+        high=20.0,
+        source="choice: hard starts of cars come to 4 m/s2 over their first second",
+    )
+    standing_margin_mps: float = tunable(
+        0.25, unit="m/s", low=0.05, high=5.0, source="choice: doors and boarding people move a car by less than 0.2 m/s"
     )
     shortest_s: float = tunable(
         0.05,
@@ -124,14 +142,11 @@ class DetectorThresholds(Tunables):
         source="choice: door slams, stones and knocks on the box swing back within; crash pulses last longer",
     )
     longest_s: float = tunable(1.0, unit="s", low=0.2, high=1.0, source="seed 1, 3.3: severe is a change within 1 s")
-    onset_mps2: float = tunable(
-        2.0, unit="m/s2", low=0.2, high=10.0, source="choice: what braking and road leave on a pulse's direction"
-    )
-    onset_s: float = tunable(
-        0.03, unit="s", low=0.0, high=0.2, source="choice: flank below tyre_mps2 of a 60-150 ms pulse, at most"
-    )
     settled_s: float = tunable(
         0.04, unit="s", low=0.005, high=0.2, source="choice: a pulse is over when so long below tyre_mps2"
+    )
+    tell_s: float = tunable(
+        0.11, unit="s", low=0.03, high=0.5, source="choice: suspected within 150 ms of contact, onset included"
     )
     decide_s: float = tunable(
         0.3, unit="s", low=0.1, high=0.6, source="49 CFR 563.7, table I: the maximum change is looked for within 300 ms"
@@ -139,25 +154,45 @@ class DetectorThresholds(Tunables):
     slow_decide_s: float = tunable(
         0.1, unit="s", low=0.0, high=0.5, source="choice: time left to a slow pulse that is suspected after decide_s"
     )
-    retained: float = tunable(
-        0.5, unit="1", low=0.0, high=1.0, source="choice: a shock that gives back over half its change was no impact"
+    shock_mps2: float = tunable(
+        15.0, unit="m/s2", low=5.0, high=100.0, source="choice: beyond nearly all of 500 recorded potholes and bumps"
     )
-    clipped_sds: float = tunable(
-        0.7,
-        unit="1",
-        low=0.0,
-        high=5.0,
-        source="choice: what clipping hid must make the impact likely by three to one; a kerb at 2 g does not",
+    shock_apart_s: float = tunable(
+        0.08, unit="s", low=0.02, high=0.5, source="choice: two axles over one edge at 100 km/h are so far apart"
     )
-    vertical_ratio: float = tunable(
-        0.7,
-        unit="1",
-        low=0.0,
-        high=5.0,
-        source="choice: potholes and bumps change the vertical velocity more than the horizontal; crashes do not",
+    shock_quiet_s: float = tunable(
+        0.5, unit="s", low=0.1, high=2.0, source="choice: a car's suspension comes to rest within a period"
     )
-    grouping_s: float = tunable(
-        5.0, unit="s", low=0.5, high=60.0, source="49 CFR 563.5: events within 5 s are one accident's"
+    shock_longest_s: float = tunable(
+        2.0, unit="s", low=0.5, high=2.4, source="choice: as long as rows are kept, less what precedes"
+    )
+    hard_mps2: float = tunable(
+        6.5, unit="m/s2", low=3.0, high=15.0, source="choice, 0.66 g: emergency braking starts at 6 to 7 m/s2"
+    )
+    hard_s: float = tunable(0.5, unit="s", low=0.1, high=3.0, source="choice: longer than any shock")
+    fall_mps2: float = tunable(
+        3.0, unit="m/s2", low=0.5, high=6.0, source="choice: a falling box feels nothing, a car over a crest over 5"
+    )
+    fall_s: float = tunable(0.08, unit="s", low=0.02, high=0.5, source="choice: a fall of 3 cm")
+    tilt_deg: float = tunable(60.0, unit="deg", low=30.0, high=120.0, source="Digital Matter: rollover from 60 degrees")
+    tilt_s: float = tunable(0.5, unit="s", low=0.1, high=5.0, source="choice: longer than attitude errs by a shock")
+
+
+@dataclass(frozen=True, slots=True)
+class PulseThresholds(Tunables):
+    """How a pulse is read off the samples, and how far its figures may err."""
+
+    onset_mps2: float = tunable(
+        2.0, unit="m/s2", low=0.2, high=10.0, source="choice: what braking and road leave on a pulse's direction"
+    )
+    onset_s: float = tunable(
+        0.06, unit="s", low=0.0, high=0.2, source="choice: flanks within reach of a pulse of 60-200 ms, at most"
+    )
+    friction_mps2: float = tunable(
+        8.0, unit="m/s2", low=2.0, high=12.0, source="choice, 0.8 g: braked wheels take back what pushed a standing car"
+    )
+    around_s: float = tunable(
+        0.1, unit="s", low=0.0, high=0.5, source="choice: a wheel's vertical blow and its blow to the rear are so near"
     )
     scale_sd: float = tunable(
         0.03,
@@ -172,9 +207,157 @@ class DetectorThresholds(Tunables):
     blind_tilt_sd_rad: float = tunable(
         0.14, unit="rad", low=0.01, high=1.0, source="choice, 8 deg: attitude from levelling alone"
     )
+    yaw_sd_rad: float = tunable(
+        0.05, unit="rad", low=0.001, high=0.5, source="choice, 3 deg: yaw of the box in the vehicle"
+    )
     noise_sd_mps: float = tunable(
         0.1, unit="m/s", low=0.001, high=2.0, source="choice: road and body vibration on an integrated pulse"
     )
+
+
+@dataclass(frozen=True, slots=True)
+class JudgementThresholds(Tunables):
+    """From what a pulse was like to the probability that it was an accident: weights of log-odds."""
+
+    tell: float = tunable(
+        0.5, unit="1", low=0.05, high=0.99, source="choice: told when an accident is likelier than not"
+    )
+    tell_early: float = tunable(
+        0.97, unit="1", low=0.5, high=0.999, source="choice: what is not over yet is told only where it is plain"
+    )
+    retract: float = tunable(
+        0.3, unit="1", low=0.0, high=0.9, source="choice: below tell, so that what is told does not flicker"
+    )
+    base: float = tunable(
+        0.5,
+        unit="1",
+        low=-20.0,
+        high=20.0,
+        source="fitted to simulated cases, less 1.4: accidents are rarer than there",
+    )
+    beyond_mps: float = tunable(
+        0.8, unit="m/s", low=0.05, high=5.0, source="choice: where the logarithm of the change beyond reach is zero"
+    )
+    beyond: float = tunable(7.7, unit="1", low=0.0, high=50.0, source="fitted to simulated cases")
+    vertical_from: float = tunable(
+        0.6, unit="1", low=0.0, high=5.0, source="choice: crashes heave and pitch a car less"
+    )
+    vertical: float = tunable(7.7, unit="1", low=0.0, high=50.0, source="fitted to simulated cases")
+    retained_from: float = tunable(0.75, unit="1", low=0.0, high=1.0, source="choice: rebound takes back a quarter")
+    retained: float = tunable(
+        9.0, unit="1", low=0.0, high=50.0, source="choice: simulated cases hardly tell, recorded shocks swing back"
+    )
+    short_s: float = tunable(
+        0.05, unit="s", low=0.01, high=0.2, source="choice: crash pulses of cars last longer, see PULSE_MEDIAN_S"
+    )
+    short: float = tunable(10.0, unit="1", low=0.0, high=50.0, source="fitted to simulated cases (13)")
+    long_s: float = tunable(
+        0.15, unit="s", low=0.05, high=1.0, source="choice: longer than most crash pulses, and than a foot takes"
+    )
+    long: float = tunable(3.4, unit="1", low=0.0, high=50.0, source="fitted to simulated cases")
+    rotation_radps: float = tunable(
+        7.0,
+        unit="rad/s",
+        low=1.0,
+        high=50.0,
+        source="choice: 400 deg/s, faster than cars spin or roll; a loose box does",
+    )
+    rotation: float = tunable(3.0, unit="1", low=0.0, high=50.0, source="choice, to be fitted")
+    abrupt_share: float = tunable(
+        0.12, unit="1", low=0.0, high=0.5, source="choice: bodies swell and ring; converters fail within a sample"
+    )
+    abrupt_radps: float = tunable(
+        0.15, unit="rad/s", low=0.0, high=2.0, source="choice: blows turn a car, if only by its springs"
+    )
+    stuck_s: float = tunable(
+        0.2, unit="s", low=0.05, high=1.0, source="choice: crash pulses at 2 g last 0.12 s; an axis that hangs goes on"
+    )
+    still_s: float = tunable(
+        0.08, unit="s", low=0.01, high=1.0, source="choice: clipped so long, a blow has shaken the other axes too"
+    )
+    still_share: float = tunable(
+        0.06,
+        unit="1",
+        low=0.0,
+        high=0.5,
+        source="NHTSA test 10146: the vertical has 0.07 of the clipped change and more",
+    )
+    impossible: float = tunable(
+        -7.0, unit="1", low=-50.0, high=0.0, source="choice, 1 in 1000: a failing converter, or a box that falls freely"
+    )
+    rested: float = tunable(1.5, unit="1", low=0.0, high=20.0, source="choice: most who crash come to rest")
+    drove_on: float = tunable(2.5, unit="1", low=0.0, high=20.0, source="choice: few who crash drive on as before")
+    flagged: float = tunable(6.0, unit="1", low=0.0, high=20.0, source="choice: an airbag that fired, or power lost")
+
+
+@dataclass(frozen=True, slots=True)
+class AftermathThresholds(Tunables):
+    """What is watched after an accident was told, and for how long."""
+
+    follow_s: float = tunable(
+        10.0, unit="s", low=1.0, high=60.0, source="choice: cars at 50 km/h have come to rest by then, drivers too"
+    )
+    rest_s: float = tunable(3.0, unit="s", low=0.5, high=30.0, source="choice: standing for good, not turning round")
+    moving_mps: float = tunable(
+        1.0, unit="m/s", low=0.2, high=5.0, source="choice: that who stood before stands after says nothing"
+    )
+    drove_on_share: float = tunable(
+        0.8, unit="1", low=0.3, high=1.0, source="choice: never slower than so much of the speed before"
+    )
+    drove_on_mps: float = tunable(
+        5.0, unit="m/s", low=1.0, high=20.0, source="choice: below, rest and driving look alike"
+    )
+    grouping_s: float = tunable(
+        5.0, unit="s", low=0.5, high=60.0, source="49 CFR 563.5: events within 5 s are one accident's"
+    )
+    parked_s: float = tunable(
+        180.0, unit="s", low=10.0, high=3600.0, source="choice: longer than traffic lights and most queues stand"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class NamingThresholds(Tunables):
+    """By what the classes that are no accidents are told from each other."""
+
+    abrupt_share: float = tunable(
+        0.12, unit="1", low=0.0, high=0.5, source="choice: bodies swell and ring; converters fail within a sample"
+    )
+    abrupt_radps: float = tunable(
+        0.2, unit="rad/s", low=0.0, high=2.0, source="choice: a turn is felt, but no blow that turns the car"
+    )
+    stuck_s: float = tunable(
+        0.1, unit="s", low=0.02, high=1.0, source="choice: shocks that are no accidents clip for less"
+    )
+
+    train_shocks: int = tunable(
+        6, unit="1", low=3, high=50, source="choice: two axles over two rails make four shocks, cobbles no end"
+    )
+    crossing_shocks: int = tunable(
+        3, unit="1", low=2, high=10, source="choice: a pothole or bump makes two, one an axle"
+    )
+    rough_mps2: float = tunable(
+        4.0, unit="m/s2", low=1.0, high=20.0, source="choice: rms of cobbles and gravel, ISO 8608 classes D and E"
+    )
+    braking_mps2: float = tunable(5.0, unit="m/s2", low=2.0, high=10.0, source="choice: half a g before the shock")
+    kerb_mps: float = tunable(6.0, unit="m/s", low=1.0, high=15.0, source="choice: kerbs are mounted slowly")
+    bump_s: float = tunable(
+        0.12, unit="s", low=0.03, high=0.5, source="choice: humps are metres long, holes and edges decimetres"
+    )
+    knock_radps: float = tunable(3.0, unit="rad/s", low=0.5, high=20.0, source="choice: hands turn boxes, not cars")
+    tilt_deg: float = tunable(
+        4.0, unit="deg", low=1.0, high=20.0, source="choice: lifted by one axle, or up a ramp, while standing"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class DetectorThresholds(Tunables):
+    """The project's own detector: trigger, reading, judgement, what followed, and names for what was none."""
+
+    trigger: TriggerThresholds = TriggerThresholds()
+    pulse: PulseThresholds = PulseThresholds()
+    judgement: JudgementThresholds = JudgementThresholds()
+    aftermath: AftermathThresholds = AftermathThresholds()
+    naming: NamingThresholds = NamingThresholds()
     level: LevelThresholds = LevelThresholds()
     severity: SeverityThresholds = SeverityThresholds()
     paper: PaperThresholds = PaperThresholds()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from core.errors import InvalidInputError
 from core.measurements import FloatArray
 from core.simulation.crashes import Crash
 from core.simulation.shapes import Shape, peak_rate, step
+
+if TYPE_CHECKING:
+    from core.simulation.disturbances import Disturbance
 
 TYRE_FRICTION: Final = 0.7
 """Grip with which a car that was pushed sideways stops sliding; dry asphalt 0.7 to 0.8 (Gillespie 1992)."""
@@ -99,6 +102,7 @@ class Route:
     bumps: tuple[RoadBump, ...]
     crashes: tuple[tuple[float, Crash], ...]
     sky: tuple[SkySpan, ...]
+    disturbances: tuple[tuple[float, Disturbance], ...] = ()
 
 
 @dataclass(slots=True)
@@ -113,6 +117,7 @@ class RouteBuilder:
     _bumps: list[RoadBump] = field(default_factory=list)
     _crashes: list[tuple[float, Crash]] = field(default_factory=list)
     _sky: list[SkySpan] = field(default_factory=list)
+    _disturbances: list[tuple[float, Disturbance]] = field(default_factory=list)
 
     def _change(self, channel: str, start_s: float, duration_s: float, delta: float, shape: Shape) -> None:
         if delta != 0.0:
@@ -170,6 +175,12 @@ class RouteBuilder:
         self._bumps.append(RoadBump(self.t_s + after_s, length_m, height_m))
         return self
 
+    def disturb(self, disturbance: Disturbance) -> RouteBuilder:
+        """Be shaken while the speed is held; what it would change of the speed is driven back meanwhile."""
+        self._disturbances.append((self.t_s, disturbance))
+        self.t_s += disturbance.duration_s
+        return self
+
     def crash(self, crash: Crash) -> RouteBuilder:
         """Collide here; the car goes on with the forward speed left and its tyres stop the slide."""
         forward, right = crash.delta_v_b_mps
@@ -218,4 +229,5 @@ class RouteBuilder:
                 for span in self._sky
                 if span.start_s < duration
             ),
+            disturbances=tuple(one for one in self._disturbances if one[0] + one[1].duration_s < duration),
         )

@@ -14,8 +14,9 @@ from core.atmosphere import pressure_height_m, standard_pressure_pa
 from core.errors import InvalidInputError
 from core.measurements import Measurements, TimeArray
 from core.sensors import TriadCalibration
-from core.simulation import roads
+from core.simulation import low_speed_series, roads
 from core.simulation.gnss import Receiver, measure_gnss
+from core.simulation.overlay import laid_over
 from core.simulation.route import Route, Sky
 from core.simulation.sensors import (
     EXACT_MEMS,
@@ -114,6 +115,11 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             430.0,
             device=UNCALIBRATED,
         ),
+        "seed1": Scenario(
+            "3.5 h below 20 m/s: 21 low-speed accidents, a third in outages, among potholes, kerbs and hard braking",
+            low_speed_series.seed1,
+            12600.0,
+        ),
         "crash_series": Scenario("an accident of any kind every two to three minutes", roads.crash_series, 3600.0),
     }
 )
@@ -163,7 +169,10 @@ def simulate(
     """
     if scenario not in SCENARIOS:
         raise InvalidInputError(f"unknown scenario '{scenario}': expected one of {', '.join(SCENARIOS)}")
-    return simulate_scenario(scenario, SCENARIOS[scenario], seed, duration_s, rate_hz, draw)
+    chosen = SCENARIOS[scenario]
+    length_s = chosen.duration_s if duration_s is None else duration_s
+    check_asked(seed, draw, length_s)
+    return perform(scenario, chosen, seed, length_s, rate_hz, draw)
 
 
 def check_asked(seed: int, draw: int, duration_s: float) -> None:
@@ -175,24 +184,17 @@ def check_asked(seed: int, draw: int, duration_s: float) -> None:
         raise InvalidInputError(f"a drive of {duration_s:g} s: expected {SHORTEST_S:g} s to {LONGEST_S / 3600:g} h")
 
 
-def simulate_scenario(
-    name: str,
-    chosen: Scenario,
-    seed: int,
-    duration_s: float | None = None,
-    rate_hz: float = 200.0,
-    draw: int = 0,
+def perform(
+    name: str, chosen: Scenario, seed: int, length_s: float, rate_hz: float = 200.0, draw: int = 0
 ) -> SimulatedDrive:
-    """Simulate a scenario that need not be among ``SCENARIOS``; the rest as ``simulate``."""
-    length_s = chosen.duration_s if duration_s is None else duration_s
-    check_asked(seed, draw, length_s)
+    """Simulate a scenario that need not be in ``SCENARIOS``; the rest as ``simulate``."""
     route_rng, unit_rng, *noise_rngs = np.random.default_rng(seed).spawn(5)
     if draw > 0:
         noise_rngs = np.random.default_rng([seed, draw]).spawn(3)
     inertial_rng, slow_rng, air_rng = noise_rngs
     route = chosen.route(route_rng, length_s)
     errors = draw_errors(chosen.device, unit_rng)
-    trajectory = drive(route, chosen.place, rate_hz, chosen.suspension)
+    trajectory = laid_over(drive(route, chosen.place, rate_hz, chosen.suspension), route.disturbances)
     f_s, omega_s = measure_inertial(trajectory, chosen.device, errors, inertial_rng)
     gnss_t_s, gnss = measure_gnss(trajectory, route.sky, chosen.receiver, chosen.gnss_lever_arm_b_m, slow_rng)
     magnetic_t_s, magnetic = measure_magnetic(trajectory, chosen.place.field_n_ut, chosen.device, errors, slow_rng)
@@ -265,6 +267,15 @@ def _truth(
         "outages": spans(Sky.TUNNEL, Sky.OUTAGE),
         "canyons": spans(Sky.CANYON),
         "bumps": [{"t_s": round(one.start_s, 3), "height_m": one.height_m} for one in route.bumps],
+        "non_accidents": [
+            {
+                "t_s": round(t_s, 3),
+                "duration_s": round(one.duration_s, 3),
+                "kind": one.kind.value,
+                "hardness": round(one.hardness, 3),
+            }
+            for t_s, one in route.disturbances
+        ],
         "sensor_errors": {
             "accelerometer": _calibration_json(errors.accelerometer),
             "gyroscope": _calibration_json(errors.gyroscope),

@@ -13,6 +13,9 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from service.bench import (
+    accident_long,
+    accident_report,
+    accidents,
     calibration,
     calibration_report,
     kernel,
@@ -75,27 +78,40 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="ROADS",
         help="measure road matching instead, by simulated drives on a folder that 'telefuse roads build' made",
     )
+    instead.add_argument(
+        "--accidents",
+        action="store_true",
+        help="measure the accident engine instead: accidents found, placed and described, false alarms per 100 000 km,"
+        " in simulation and on recordings; the paper's rule on the same input; beside what is asked of each",
+    )
+    parser.add_argument(
+        "--km",
+        type=float,
+        metavar="KM",
+        help=f"with --accidents: how far the part 'long' drives (default {accident_long.KM:.0f})",
+    )
     parser.add_argument(
         "--part",
         action="append",
         default=[],
         metavar="NAME",
         help=f"with --navigation: only this part, {', '.join(navigation.PART_NAMES)}; with --calibration:"
-        f" {', '.join(calibration.PART_NAMES)}; may be repeated (default: all)",
+        f" {', '.join(calibration.PART_NAMES)}; with --accidents: {', '.join(accidents.PART_NAMES)}; may be repeated"
+        " (default: all)",
     )
     parser.add_argument(
         "--recordings",
         type=Path,
         metavar="DIR",
-        help="with --calibration: where its recordings are (default: ../shared/data beside the checkout; the"
-        " parts 'recordings' and 'noise' are left out where there are none)",
+        help="with --calibration or --accidents: where its recordings are (default: ../shared/data beside the checkout;"
+        " the parts 'recordings' and 'noise' are left out where there are none)",
     )
     parser.add_argument(
         "--drives",
         metavar="DIR|N",
-        help=f"with --roads: how many drives (default {roads.DRIVES}); with --navigation: where the recorded"
-        " drives are (default: ../shared/drives beside the checkout;"
-        " the part 'real' is left out where there are none)",
+        help=f"with --roads: how many drives (default {roads.DRIVES}); with --navigation or --accidents: where the"
+        " recorded drives are (default: ../shared/drives beside the checkout; the part 'real' is left out where there"
+        " are none)",
     )
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
     parser.add_argument(
@@ -113,8 +129,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure; 1 if a packet was lost or taken twice, or an alert did not come."""
-    if arguments.recordings is not None and not arguments.calibration:
-        raise UsageError("--recordings is for --calibration; expected --calibration beside it")
+    if arguments.recordings is not None and not (arguments.calibration or arguments.accidents):
+        raise UsageError("--recordings is for --calibration and --accidents; expected one of these beside it")
+    if arguments.km is not None and not arguments.accidents:
+        raise UsageError("--km is for --accidents; expected --accidents beside it")
     if arguments.kernel:
         _print_kernel(as_json=arguments.json)
         return 0
@@ -133,6 +151,12 @@ def run(arguments: argparse.Namespace) -> int:
         with Phases() as phases:
             found = calibration.measure(arguments.part, arguments.recordings, phases.tell)
         print(json.dumps(found) if arguments.json else calibration_report.tables(found))
+        return 0
+    if arguments.accidents:
+        km = accident_long.KM if arguments.km is None else arguments.km
+        with Phases() as phases:
+            found = accidents.measure(arguments.part, km, arguments.recordings, _folder(arguments.drives), phases.tell)
+        print(json.dumps(found) if arguments.json else accident_report.tables(found))
         return 0
     _check(arguments)
     with unwinding_on_sigterm(), TemporaryDirectory(prefix="telefuse-bench-") as directory:
@@ -202,7 +226,8 @@ def _print_kernel(*, as_json: bool) -> None:
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.part or arguments.drives is not None:
         raise UsageError(
-            "--part and --drives are for --navigation, --part also for --calibration; expected one of these beside them"
+            "--part and --drives are for --navigation and --accidents, --part also for --calibration;"
+            " expected one of these beside them"
         )
     if not 1 <= arguments.vehicles <= MAX_VEHICLES:
         raise UsageError(f"--vehicles {arguments.vehicles}: expected 1 to {MAX_VEHICLES}")

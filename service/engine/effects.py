@@ -89,7 +89,7 @@ class Effects:
         self.biases += [(learnt, packet.received_ns) for learnt in outputs.biases]
         for accident in outputs.accidents:
             self.accidents.append((accident, packet.received_ns))
-            if not math.isfinite(accident.lat_rad):
+            if not math.isfinite(accident.place.lat_rad):
                 # A box that never had a fix: it is told all the same, and an operator must see it.
                 self.counts["accident.no_position"] += 1
                 logger.error("vehicle %s: an impact at %d ns has no place", self.ref.vehicle_id, accident.impact.t_ns)
@@ -201,13 +201,13 @@ class Effects:
             "status": "detected",
             "severity": str(impact.severity),
             "confidence": impact.confidence,
-            "lat_deg": _degrees_or_none(accident.lat_rad),
-            "lon_deg": _degrees_or_none(accident.lon_rad),
-            "alt_m": _finite_or_none(accident.alt_m),
-            "sd_n_m": _finite_or_none(accident.sd_n_m),
-            "sd_e_m": _finite_or_none(accident.sd_e_m),
-            "cov_ne_m2": _finite_or_none(accident.cov_ne_m2),
-            "heading_deg": _heading_deg(accident.heading_rad),
+            "lat_deg": _degrees_or_none(accident.place.lat_rad),
+            "lon_deg": _degrees_or_none(accident.place.lon_rad),
+            "alt_m": _finite_or_none(accident.place.alt_m),
+            "sd_n_m": _finite_or_none(accident.place.sd_n_m),
+            "sd_e_m": _finite_or_none(accident.place.sd_e_m),
+            "cov_ne_m2": _finite_or_none(accident.place.cov_ne_m2),
+            "heading_deg": _heading_deg(accident.place.heading_rad),
         }
         felt: dict[str, Any] = {
             "detector": impact.detector,
@@ -227,7 +227,7 @@ class Effects:
             decided_t_ns=impact.decided_t_ns,
             received_ns=received_ns,
             stored_ns=stored_ns,
-            mode=int(accident.mode),
+            mode=int(accident.place.mode),
             detail=felt | {"delta_v_b_mps": list(impact.delta_v_b_mps)},
             **shared,
         )
@@ -242,7 +242,7 @@ class Effects:
         body = AccidentBody(
             accident_id=accident_id,
             vehicle_id=self.ref.vehicle_id,
-            mode=Mode(accident.mode).name.lower(),
+            mode=Mode(accident.place.mode).name.lower(),
             **shared,
             **felt,
         )

@@ -9,6 +9,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from core.accident.profiles import for_vehicle
 from core.calibration.drift import Biases, DriftThresholds
 from core.calibration.in_force import NO_SPREAD, BoxCalibration
 from core.measurements import GNSS, GNSS_COLUMNS, Measurements
@@ -45,6 +46,7 @@ def session_config(config: VehicleConfig, calibrations: Sequence[GivenCalibratio
             gnss_time_offset_s=config.gnss_time_offset_s,
         ),
         detector=config.detector,
+        impact=for_vehicle(config.vehicle_class),
     )
 
 

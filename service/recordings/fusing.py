@@ -12,7 +12,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from core.accident.placing import Accident
+from core.accident.events import Status
+from core.accident.placing import Accident, Suppressed
 from core.earth import ned_offset_m
 from core.measurements import GNSS, FloatArray, Measurements, TimeArray
 from core.navigation.filter import FilterConfig
@@ -62,7 +63,8 @@ class Outage:
 class Fused:
     """What a session made of a drive: track at the samples' rate, accidents, counts, the mounting, and the time.
 
-    ``solution`` and ``records`` where they were asked for.
+    ``accidents`` are those that were not retracted, as they were told last. ``solution`` and ``records`` where they
+    were asked for.
     """
 
     track: Track
@@ -73,6 +75,7 @@ class Fused:
     mounting: MountingEstimate
     solution: Solution | None = None
     records: AidRecords | None = None
+    suppressed: tuple[Suppressed, ...] = ()
 
 
 def vehicle_config(drive: Drive, noise: SensorNoise | None = None) -> VehicleConfig:
@@ -132,7 +135,8 @@ def fuse(
     recorder = Recorder() if keep or smooth else None
     session.filter.recorder = recorder
     tracks: list[Track] = []
-    accidents: list[Accident] = []
+    accidents: dict[int, Accident] = {}
+    suppressed: list[Suppressed] = []
     counts: dict[str, int] = {}
     spent_s = 0.0
     for share, part in _chunks(m):
@@ -140,7 +144,8 @@ def fuse(
         outputs = session.step(part)
         spent_s += time.perf_counter() - begin
         tracks.append(outputs.track)
-        accidents += outputs.accidents
+        accidents |= {one.impact.t_ns: one for one in outputs.accidents}
+        suppressed += outputs.suppressed
         for name, count in outputs.counts.items():
             counts[name] = counts.get(name, 0) + count
         progress(share)
@@ -152,8 +157,17 @@ def fuse(
         records = recorder.aid_records()
         if smooth:
             track = solution.track
+    standing = tuple(one for one in accidents.values() if one.impact.status is not Status.RETRACTED)
     return Fused(
-        track, tuple(accidents), counts, len(m.imu_t_ns), spent_s, session.mounting, solution=solution, records=records
+        track,
+        standing,
+        counts,
+        len(m.imu_t_ns),
+        spent_s,
+        session.mounting,
+        solution=solution,
+        records=records,
+        suppressed=tuple(suppressed),
     )
 
 

@@ -228,10 +228,12 @@ def _place(name: str, track: Track, row: int, symbol: str, plane: LocalMap) -> T
 
 
 def _accidents(accidents: Sequence[Accident], start_t_ns: int, plane: LocalMap) -> list[Trace]:
-    known = [one for one in accidents if math.isfinite(one.lat_rad)]
+    known = [one for one in accidents if math.isfinite(one.place.lat_rad)]
     if not known:
         return []
-    east, north = plane.east_north_m(np.array([a.lat_rad for a in known]), np.array([a.lon_rad for a in known]))
+    east, north = plane.east_north_m(
+        np.array([a.place.lat_rad for a in known]), np.array([a.place.lon_rad for a in known])
+    )
     texts = [
         f"{a.impact.severity.value}, {(a.impact.t_ns - start_t_ns) * 1e-9:.1f} s, Δv {a.impact.delta_v_mps:.1f} m/s"
         for a in known

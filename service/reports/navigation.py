@@ -132,9 +132,10 @@ def _accidents(accidents: Sequence[Accident], start_t_ns: int) -> Section:
             number(one.impact.confidence),
             f"{number(one.impact.delta_v_mps, 'm/s', 1)} ± {number(one.impact.delta_v_sd_mps, '', 1)}",
             number(one.impact.pdof_deg, "°", 0),
-            f"{number(float(np.degrees(one.lat_rad)), '°', 7)}, {number(float(np.degrees(one.lon_rad)), '°', 7)}",
-            f"{number(one.sd_n_m, 'm', 1)}, {number(one.sd_e_m, 'm', 1)}",
-            one.mode.name.lower(),
+            f"{number(float(np.degrees(one.place.lat_rad)), '°', 7)}, "
+            f"{number(float(np.degrees(one.place.lon_rad)), '°', 7)}",
+            f"{number(one.place.sd_n_m, 'm', 1)}, {number(one.place.sd_e_m, 'm', 1)}",
+            one.place.mode.name.lower(),
         ]
         for one in accidents
     ]

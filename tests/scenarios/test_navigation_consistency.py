@@ -253,11 +253,11 @@ def test_a_crash_in_a_tunnel_is_placed_within_fifteen_metres(seed):
     assert len(drive.accidents) == len(drive.truth["accidents"]) == 2
     for accident, true in zip(drive.accidents, drive.truth["accidents"], strict=True):
         place = ned_offset_m(
-            np.array([accident.lat_rad]), np.array([accident.lon_rad]), np.zeros(1),
+            np.array([accident.place.lat_rad]), np.array([accident.place.lon_rad]), np.zeros(1),
             (math.radians(true["lat_deg"]), math.radians(true["lon_deg"]), 0.0),
         )[0]  # fmt: skip
         assert np.hypot(place[0], place[1]) < 15.0
-        assert (accident.mode == Mode.COASTING) is true["in_outage"]
+        assert (accident.place.mode == Mode.COASTING) is true["in_outage"]
 
 
 @pytest.mark.parametrize(("scenario", "duration_s"), [("city", 420.0), ("highway", 400.0)])

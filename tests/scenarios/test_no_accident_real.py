@@ -51,7 +51,7 @@ def test_a_real_drive_holds_no_accident(name, detector):
     else:
         speed = table("drives", name, "speed.csv.gz")
         speed_mps = np.interp(imu["t_s"], speed["t_s"], speed["speed_mps"])
-    assert detector().step(motion(imu["t_s"], f_b, omega_b, speed_mps=speed_mps)) == []
+    assert detector().step(motion(imu["t_s"], f_b, omega_b, speed_mps=speed_mps)).impacts == []
 
 
 @DETECTORS
@@ -65,7 +65,7 @@ def test_harsh_braking_and_turning_are_no_accident(trip, attitude, detector):
     omega_b = np.zeros_like(f_b)
     omega_b[:, 2] = -np.interp(acc["t_s"], gyro["t_s"], gyro["z"])
     speed_mps = np.full(len(f_b), 8.0)  # not recorded; slow for its turns, which is hard on the curvature
-    assert detector().step(motion(acc["t_s"], f_b, omega_b, speed_mps=speed_mps, attitude=attitude)) == []
+    assert detector().step(motion(acc["t_s"], f_b, omega_b, speed_mps=speed_mps, attitude=attitude)).impacts == []
 
 
 def shocks():
@@ -90,7 +90,7 @@ def test_potholes_and_bumps_are_no_accident(case, detector):
         )
         if case == "tilted by 10 degrees":
             given.down_b[:] = [np.sin(np.radians(10.0)), 0.0, np.cos(np.radians(10.0))]
-        assert detector().step(given) == []
+        assert detector().step(given).impacts == []
 
 
 BARRIER_DELTA_V_MPS = 65.6 / 3.6
@@ -104,6 +104,7 @@ BARRIER_DELTA_V_MPS = 65.6 / 3.6
 def test_a_real_barrier_crash_is_found_also_when_clipped(full_scale_g, sensor, rate_hz, attitude):
     crash = table("data", "crash_nhtsa_10146_frontal_barrier", "v10146_vehicle1_accel.csv.gz")
     before = crash["t_s"] < -0.005
+    rng = np.random.default_rng(1)  # across, where the recording has no sensor
     low_pass = butter(2, 80.0, fs=10_000.0, output="sos")  # what stands before a 200 Hz converter
 
     def seen(channel):
@@ -111,7 +112,7 @@ def test_a_real_barrier_crash_is_found_also_when_clipped(full_scale_g, sensor, r
 
     forward, down = seen(sensor), seen("FLLR_ZG_97")
     standing = np.tile([0.0, 0.0, -G], (rate_hz, 1))
-    f_b = np.vstack([standing, np.column_stack([forward, np.zeros_like(forward), down - G])])
+    f_b = np.vstack([standing, np.column_stack([forward, rng.normal(0.0, 0.05, len(forward)), down - G])])
     limit = full_scale_g * G
     saturated = (np.abs(f_b) >= limit).any(axis=1).astype(np.uint8)
     n = len(f_b)
@@ -123,7 +124,10 @@ def test_a_real_barrier_crash_is_found_also_when_clipped(full_scale_g, sensor, r
         attitude=attitude,
         saturated=saturated,
     )
-    (impact,) = ImpactDetector().step(given)
+    told = ImpactDetector().step(given).impacts
+    impact = told[-1]
+    assert {one.t_ns for one in told} == {impact.t_ns}
+    assert told[0].decided_t_ns - told[0].t_ns < 200_000_000
     contact_ns = EPOCH_NS + round((1.0 + 0.05) * 1e9)  # the recording begins 50 ms before contact
     assert abs(impact.t_ns - contact_ns) < 20_000_000
     assert impact.decided_t_ns - contact_ns < 300_000_000
@@ -131,10 +135,10 @@ def test_a_real_barrier_crash_is_found_also_when_clipped(full_scale_g, sensor, r
     assert min(impact.pdof_deg, 360.0 - impact.pdof_deg) < 5.0
     assert impact.clipped is (full_scale_g < 100.0)
     if impact.clipped:
-        # A pulse hidden above 2 g can only be guessed from its flanks: within three of its own sds, and no less than
-        # the severe class begins with.
-        assert abs(impact.delta_v_mps - BARRIER_DELTA_V_MPS) < 3.0 * impact.delta_v_sd_mps
+        # A pulse hidden above 2 g can only be guessed from its flanks; no less than the severe class begins with.
         assert impact.delta_v_mps > 6.5
     else:
         assert impact.delta_v_mps == pytest.approx(BARRIER_DELTA_V_MPS, rel=0.1)  # 49 CFR 563's accuracy
-    assert impact.confidence > 0.6
+    low_mps, high_mps = impact.delta_v_interval_mps
+    assert low_mps < 64.6 / 3.6 < 66.2 / 3.6 < high_mps
+    assert impact.confidence > 0.9

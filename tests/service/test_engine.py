@@ -15,7 +15,7 @@ from sqlalchemy import Engine as Database
 from sqlalchemy import select, text
 
 from core.accident.events import Impact, Severity
-from core.accident.placing import Accident
+from core.accident.placing import Accident, Place
 from core.driving.trips import Trip
 from core.errors import SnapshotError
 from core.measurements import Measurements
@@ -91,7 +91,7 @@ class SummingFold:
             False,
             revision,
         )
-        return Accident(impact, 1e-6 * self.sum, 0.0, 5.0, 1.0, 2.0, 0.1, np.nan, Mode.COASTING)
+        return Accident(impact, Place(1e-6 * self.sum, 0.0, 5.0, 1.0, 2.0, 0.1, np.nan, Mode.COASTING))
 
 
 class Bench:

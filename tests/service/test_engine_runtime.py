@@ -152,7 +152,7 @@ def test_states_and_events_are_told_over_zenoh(tmp_path: Path, packets: list[Tel
         await runtime.stop()
 
     asyncio.run(run())
-    (event,) = told["event"]
+    event = told["event"][0]
     assert event["type"] == "accident.detected"
     assert event["subject"] == event["data"]["vehicle_id"] == VEHICLE
     assert set(event) >= {"specversion", "id", "source", "type", "time", "data"}

@@ -9,7 +9,7 @@ import pytest
 from sqlalchemy import select
 
 from core.accident.events import Impact, Severity
-from core.accident.placing import Accident, placed
+from core.accident.placing import place_at
 from core.measurements import GNSS_COLUMNS, Measurements
 from core.navigation.track import TRACK_COLUMNS, Mode, Track
 from core.session import Outputs, Session, SessionConfig
@@ -32,8 +32,8 @@ def blind_crash() -> Measurements:
 
 def test_a_session_without_a_fix_finds_the_crash_and_says_that_its_place_is_unknown(blind_crash: Measurements) -> None:
     (accident,) = Session(SessionConfig()).step(blind_crash).accidents
-    assert np.isnan(accident.lat_rad)
-    assert accident.mode == Mode.ALIGNING
+    assert np.isnan(accident.place.lat_rad)
+    assert accident.place.mode == Mode.ALIGNING
 
 
 def test_it_is_stored_and_told_all_the_same(any_database, blind_crash: Measurements) -> None:
@@ -70,8 +70,8 @@ def test_an_old_place_is_kept_with_a_spread_that_says_how_old() -> None:
     )
     row = np.zeros((1, len(TRACK_COLUMNS)))
     row[0, 3] = 20.0  # northwards
-    fresh: Accident = placed(impact, Track(np.array([99_500_000_000]), row))
-    old: Accident = placed(impact, Track(np.array([40_000_000_000]), row))
+    fresh = place_at(impact.t_ns, Track(np.array([99_500_000_000]), row))
+    old = place_at(impact.t_ns, Track(np.array([40_000_000_000]), row))
     assert fresh.lat_rad * 6.37e6 == pytest.approx(10.0, rel=0.01)  # half a second at 20 m/s; sphere against ellipsoid
     assert old.lat_rad == 0.0
     assert old.sd_n_m == pytest.approx(60 * 20.0)

@@ -1,0 +1,131 @@
+"""From what a pulse was like to the probability that it was an accident, with the reasons for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from core.accident.thresholds import AftermathThresholds, JudgementThresholds
+
+LEAST_MPS: Final = 0.05
+"""A change beyond reach counts as no less, m/s: the logarithm's end, far below what is suspected."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a suspected pulse was like.
+
+    Parameters
+    ----------
+    delta_v_mps : change of horizontal velocity as it was read
+    beyond_mps : by how much it exceeds what tyres, pedals and steering can
+    duration_s : its length
+    swing_mps : range of the vertical change of velocity around it
+    retained : share of the change that was kept, 0..1
+    abrupt : largest acceleration right before and after, over its peak
+    rate_radps, jolt_radps : the fastest rotation and the largest change of it
+    rough_mps2 : rms of the vertical acceleration just before
+    stood : whether the vehicle had stood
+    clipping_s : for how long an axis of the accelerometer read its full scale at a stretch
+    fell : whether the box fell freely just before
+    """
+
+    delta_v_mps: float
+    beyond_mps: float
+    duration_s: float
+    swing_mps: float
+    retained: float
+    abrupt: float
+    rate_radps: float
+    jolt_radps: float
+    rough_mps2: float
+    stood: bool
+    clipping_s: float
+    fell: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Aftermath:
+    """What followed an accident, for ``seen_s``. Speeds NaN while unknown."""
+
+    seen_s: float
+    speed_before_mps: float
+    least_speed_mps: float
+    rest_s: float
+    turned_rad: float
+    airbag: bool
+    power_loss: bool
+
+
+def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
+    """Log-odds that a pulse was an accident: a sum of what speaks for and against it.
+
+    For it speaks the change of velocity beyond the tyres' reach; against it a vertical blow that is larger than the
+    horizontal one, a swing back, a length that crash pulses do not have, and what only a loose box or a failing
+    converter does.
+    """
+    ratio = evidence.swing_mps / max(evidence.delta_v_mps, 1e-3)
+    duration_s = max(evidence.duration_s, 1e-3)
+    total = limits.base + limits.beyond * math.log(max(evidence.beyond_mps, LEAST_MPS) / limits.beyond_mps)
+    total -= limits.vertical * max(0.0, ratio - limits.vertical_from)
+    total -= limits.retained * max(0.0, limits.retained_from - evidence.retained)
+    total -= limits.short * max(0.0, math.log(limits.short_s / duration_s))
+    total -= limits.long * max(0.0, math.log(duration_s / limits.long_s))
+    if evidence.rate_radps > limits.rotation_radps:
+        total -= limits.rotation * math.log(evidence.rate_radps / limits.rotation_radps)
+    glitch = evidence.abrupt < limits.abrupt_share and evidence.jolt_radps < limits.abrupt_radps
+    stuck = evidence.clipping_s > limits.stuck_s or (
+        evidence.clipping_s > limits.still_s and _is_still(evidence, limits)
+    )
+    return min(total, limits.impossible) if glitch or stuck or evidence.fell else total
+
+
+def _is_still(evidence: Evidence, limits: JudgementThresholds) -> bool:
+    """Whether nothing but the clipped axis moved."""
+    still = evidence.swing_mps < limits.still_share * evidence.delta_v_mps
+    return still and evidence.jolt_radps < limits.abrupt_radps
+
+
+def followed(odds: float, after: Aftermath, limits: JudgementThresholds, watched: AftermathThresholds) -> float:
+    """Log-odds of an accident with what followed it."""
+    if after.airbag or after.power_loss:
+        odds += limits.flagged
+    if after.rest_s >= watched.rest_s and after.speed_before_mps > watched.moving_mps:
+        odds += limits.rested
+    elif drove_on(after, watched):
+        odds -= limits.drove_on
+    return odds
+
+
+def drove_on(after: Aftermath, watched: AftermathThresholds) -> bool:
+    """Whether the vehicle never slowed down after what was taken for an accident."""
+    fast = after.speed_before_mps > watched.drove_on_mps
+    return fast and after.least_speed_mps > watched.drove_on_share * after.speed_before_mps
+
+
+def probability(odds: float) -> float:
+    """The probability that log-odds stand for."""
+    if odds < 0.0:
+        return math.exp(max(odds, -700.0)) / (1.0 + math.exp(max(odds, -700.0)))
+    return 1.0 / (1.0 + math.exp(-min(odds, 700.0)))
+
+
+def reasons(after: Aftermath, watched: AftermathThresholds, *, clipped: bool, rollover: bool) -> tuple[str, ...]:
+    """What a reader should know beside the figures."""
+    told = []
+    if after.airbag:
+        told.append("airbag deployed")
+    if after.power_loss:
+        told.append("power lost")
+    if rollover:
+        told.append("rolled over")
+    if after.rest_s >= watched.rest_s:
+        told.append("came to rest")
+    elif drove_on(after, watched):
+        told.append("drove on")
+    if abs(after.turned_rad) > math.radians(45.0):
+        told.append(f"turned by {round(abs(math.degrees(after.turned_rad)))} degrees")
+    if clipped:
+        told.append("accelerometer clipped")
+    return tuple(told)

@@ -1,0 +1,85 @@
+"""Names for what was no accident: which of the known classes a shock, a manoeuvre or a weak pulse belongs to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from core.accident.events import NoAccident
+from core.accident.thresholds import NamingThresholds
+
+
+@dataclass(frozen=True, slots=True)
+class Shock:
+    """A shock as it was felt, or a train of them, with what went on around it.
+
+    Parameters
+    ----------
+    speed_mps : speed before; NaN while unknown
+    stood, moved : whether the vehicle had stood, and whether it has moved within the last minutes
+    shocks : how many followed each other
+    abrupt : largest acceleration right before and after, over the peak
+    clipping_s : for how long an axis of the accelerometer read its full scale at a stretch
+    heave_s : length of the largest vertical swing
+    sway_radps, nod_radps, turn_radps : largest roll, pitch and yaw rates
+    rough_mps2 : rms of the vertical acceleration just before
+    forward_mps2, right_mps2 : the slow horizontal acceleration just before
+    fell : whether the box fell just before
+    tilt_deg : how far the vertical is from where it usually is
+    towed : whether the box says that the vehicle is towed
+    """
+
+    speed_mps: float
+    stood: bool
+    moved: bool
+    shocks: int
+    abrupt: float
+    clipping_s: float
+    heave_s: float
+    sway_radps: float
+    nod_radps: float
+    turn_radps: float
+    rough_mps2: float
+    forward_mps2: float
+    right_mps2: float
+    vertical_mps2: float
+    horizontal_mps2: float
+    fell: bool
+    tilt_deg: float
+    towed: bool
+
+
+def name(shock: Shock, limits: NamingThresholds) -> NoAccident:
+    """The class that fits a shock best; UNEXPLAINED where none does. Rules in the order of how sure they are."""
+    rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
+    if shock.fell:
+        return NoAccident.BOX_DROPPED
+    stuck = shock.clipping_s > limits.stuck_s
+    if stuck or (shock.abrupt < limits.abrupt_share and rate < limits.abrupt_radps):
+        return NoAccident.SENSOR_GLITCH
+    if rate > limits.knock_radps:
+        return NoAccident.BOX_KNOCKED
+    if shock.stood:
+        if shock.towed or (not shock.moved and shock.tilt_deg > limits.tilt_deg):
+            return NoAccident.TOWING
+        return NoAccident.DOOR_SLAM
+    if shock.shocks >= limits.train_shocks or shock.rough_mps2 > limits.rough_mps2:
+        return NoAccident.VIBRATION_TRAIN
+    if shock.shocks >= limits.crossing_shocks:
+        return NoAccident.RAILWAY_CROSSING
+    if shock.vertical_mps2 < shock.horizontal_mps2:
+        return manoeuvre(shock.forward_mps2, shock.right_mps2, limits)
+    if shock.heave_s >= limits.bump_s and shock.nod_radps >= shock.sway_radps:
+        return NoAccident.SPEED_BUMP
+    if shock.speed_mps < limits.kerb_mps:
+        return NoAccident.KERB
+    return NoAccident.POTHOLE
+
+
+def manoeuvre(forward_mps2: float, right_mps2: float, limits: NamingThresholds) -> NoAccident:
+    """Hard braking or cornering, by the slow acceleration, m/s2."""
+    if -forward_mps2 > max(limits.braking_mps2, abs(right_mps2)):
+        return NoAccident.EMERGENCY_BRAKING
+    if abs(right_mps2) > limits.braking_mps2:
+        return NoAccident.HARD_CORNERING
+    return NoAccident.UNEXPLAINED

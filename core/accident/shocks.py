@@ -1,0 +1,101 @@
+"""A shock, or a train of them, read off the level rows: what naming goes by."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from core.accident.level import (
+    A_X,
+    A_Y,
+    A_Z,
+    CLIP_S,
+    GAP,
+    HEADING_COS,
+    HEADING_SIN,
+    PITCH_RATE,
+    REST_S,
+    ROLL_RATE,
+    ROUGH,
+    SLOW_X,
+    SLOW_Y,
+    SPEED,
+    UPRIGHT,
+    V_X,
+    V_Y,
+    V_Z,
+    YAW_RATE,
+    Flags,
+)
+from core.accident.naming import Shock
+from core.measurements import FloatArray, TimeArray
+
+AROUND_NS = 150_000_000
+"""What before the first and after the last shock belongs to it, ns: a wheel's way back. A choice."""
+
+
+def read_shock(
+    t_ns: TimeArray,
+    x: FloatArray,
+    flags: Flags,
+    start_ns: int,
+    last_ns: int,
+    *,
+    shocks: int,
+    fell: bool,
+    moved: bool,
+    towed: bool,
+) -> tuple[Shock, float, float, float]:
+    """A shock between two times with range of vertical velocity, change of horizontal one (m/s), and length (s)."""
+    first = int(np.searchsorted(t_ns, start_ns - AROUND_NS))
+    end = max(int(np.searchsorted(t_ns, last_ns + AROUND_NS, side="right")), first + 1)
+    gaps = np.flatnonzero(flags[first:end] & GAP)
+    if len(gaps):  # nothing is known across
+        first += int(gaps[-1]) if first + int(gaps[-1]) < end - 1 else 0
+    x = x[first:end]
+    vertical, horizontal = np.abs(x[:, A_Z]), np.hypot(x[:, A_X], x[:, A_Y])
+    largest = np.maximum(vertical, horizontal)
+    cos, sin = float(x[0, HEADING_COS]), float(x[0, HEADING_SIN])
+    slow_x, slow_y = float(x[0, SLOW_X]), float(x[0, SLOW_Y])
+    heave_s = _same_way_s(t_ns[first:end], x[:, A_Z], int(np.argmax(vertical)))
+    shock = Shock(
+        speed_mps=float(x[0, SPEED]),
+        stood=bool(x[0, REST_S] > 0.0),
+        moved=moved,
+        shocks=shocks,
+        abrupt=_abruptness(largest),
+        clipping_s=float(np.max(x[:, CLIP_S])),
+        heave_s=heave_s,
+        sway_radps=float(np.max(np.abs(x[:, ROLL_RATE]))),
+        nod_radps=float(np.max(np.abs(x[:, PITCH_RATE]))),
+        turn_radps=float(np.max(np.abs(x[:, YAW_RATE]))),
+        rough_mps2=math.sqrt(max(float(x[0, ROUGH]), 0.0)),
+        forward_mps2=slow_x * cos + slow_y * sin,
+        right_mps2=-slow_x * sin + slow_y * cos,
+        vertical_mps2=float(np.max(vertical)),
+        horizontal_mps2=float(np.max(horizontal)),
+        fell=fell,
+        tilt_deg=math.degrees(math.acos(max(-1.0, min(1.0, float(np.min(x[:, UPRIGHT])))))),
+        towed=towed,
+    )
+    change = float(np.max(np.hypot(x[:, V_X] - x[0, V_X], x[:, V_Y] - x[0, V_Y])))
+    return shock, float(np.ptp(x[:, V_Z])), change, (last_ns - start_ns) * 1e-9
+
+
+def _abruptness(felt: FloatArray) -> float:
+    """Larger of the samples just before and after those above 0.3 of the peak, over the peak."""
+    loud = np.flatnonzero(felt > 0.3 * np.max(felt))
+    beside = np.concatenate([felt[max(loud[0] - 1, 0) : loud[0]], felt[loud[-1] + 1 : loud[-1] + 2]])
+    return float(np.max(beside, initial=0.0) / max(np.max(felt), 1e-9))
+
+
+def _same_way_s(t_ns: TimeArray, values: FloatArray, at: int) -> float:
+    """For how long a series keeps the sign that it has at an index, s."""
+    sign = math.copysign(1.0, values[at])
+    low = high = at
+    while low > 0 and values[low - 1] * sign > 0.0:
+        low -= 1
+    while high < len(values) - 1 and values[high + 1] * sign > 0.0:
+        high += 1
+    return float(t_ns[high] - t_ns[low]) * 1e-9

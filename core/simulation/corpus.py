@@ -1,0 +1,132 @@
+"""Cases to judge a detector by: an accident or none, as a box and a filter show it, with the truth. A seed each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from core.accident.events import VehicleMotion
+from core.measurements import FloatArray
+from core.simulation.accident_classes import CLASSES
+from core.simulation.body_motion import BodyMotion, band_noise
+from core.simulation.box_model import Box, seen, some_box
+from core.simulation.collisions import Collision, Truth, collide
+from core.simulation.disturbances import Disturbance, NonAccident
+from core.simulation.handling import SOURCES
+from core.simulation.ride import FINE_HZ
+
+START_T_NS: Final = 1_714_984_200_000_000_000
+LEAD_S: Final = 12.0
+"""Before what happens, s: a detector knows its past by then."""
+TAIL_S: Final = 12.0
+"""After it, s: until it would have been told, and rest or driving on was seen."""
+IGNITION_KNOWN: Final = 0.7
+"""Share of boxes that are told whether the ignition is on. A choice."""
+ROAD_SHAKE_MPS2: Final = (0.25, 1.6)
+"""Vertical shaking by the road at 14 m/s, sd: smooth asphalt to a worn-out road, as shocks_road_anomalies_2017 has them
+(medians 0.5 regular, 0.9 worn out; four fifths of it body bounce below 6 Hz)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AccidentCase:
+    """An accident as a detector is given it. ``t_ns`` is the first blow's start."""
+
+    seed: int
+    motion: VehicleMotion
+    box: Box
+    truth: Truth
+    t_ns: int
+
+    @property
+    def clipped(self) -> bool:
+        """Whether the box read its full scale during the accident."""
+        return bool(self.motion.saturated.any())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuietCase:
+    """What is no accident, as a detector is given it; it happens from ``begin_ns`` to ``end_ns``."""
+
+    seed: int
+    motion: VehicleMotion
+    box: Box
+    kind: NonAccident
+    hardness: float
+    begin_ns: int
+    end_ns: int
+
+
+def accident_case(
+    name: str, seed: int, full_scale_g: float | None = None, rate_hz: float | None = None
+) -> AccidentCase:
+    """The ``seed``-th accident of a class, in a box of its own unless one is said."""
+    rng = np.random.default_rng([seed, list(CLASSES).index(name)])
+    return shown(CLASSES[name](rng), rng, seed, some_box(rng, full_scale_g, rate_hz))
+
+
+def shown(collision: Collision, rng: np.random.Generator, seed: int, box: Box, lead_s: float = LEAD_S) -> AccidentCase:
+    """A collision as a box and a filter show it."""
+    last_s = max(blow.after_s for blow in collision.blows)
+    motion, truth = collide(collision, rng, lead_s, last_s + TAIL_S)
+    motion = on_a_road(motion, rng, collision.ignition)
+    aligned_after_s = 2.0 * lead_s + 100.0 if rng.random() < 0.05 else 0.0
+    ignition = collision.ignition if rng.random() < IGNITION_KNOWN else None
+    given = seen(motion, box, rng, START_T_NS, aligned_after_s, ignition)
+    t_ns = START_T_NS + round(truth.t_s * 1e9)
+    return AccidentCase(seed, given, box, truth, t_ns)
+
+
+def quiet_case(
+    kind: NonAccident, seed: int, full_scale_g: float | None = None, rate_hz: float | None = None
+) -> QuietCase:
+    """The ``seed``-th disturbance of a kind, in a box of its own unless one is said."""
+    rng = np.random.default_rng([seed, 1000 + list(NonAccident).index(kind)])
+    source = SOURCES[kind]
+    speed_mps = rng.uniform(source.low_mps, source.high_mps)
+    if source.low_mps == 0.0 and rng.random() < 0.5:
+        speed_mps = 0.0
+    disturbance = source.draw(rng, speed_mps)
+    box = some_box(rng, full_scale_g, rate_hz)
+    motion = on_a_road(disturbed(disturbance), rng, disturbance.ignition)
+    spoilt_at_s = LEAD_S + 0.5 if kind is NonAccident.SENSOR_GLITCH else None
+    aligned_after_s = 1e9 if rng.random() < 0.05 else 0.0
+    ignition = disturbance.ignition if rng.random() < IGNITION_KNOWN else None
+    given = seen(motion, box, rng, START_T_NS, aligned_after_s, ignition, spoilt_at_s)
+    begin = START_T_NS + round(LEAD_S * 1e9)
+    end = begin + round(disturbance.duration_s * 1e9)
+    return QuietCase(seed, given, box, kind, disturbance.hardness, begin, end)
+
+
+def disturbed(disturbance: Disturbance, lead_s: float = LEAD_S, tail_s: float = TAIL_S) -> BodyMotion:
+    """A car that goes evenly but for the disturbance."""
+    lead, tail = round(lead_s * FINE_HZ), round(tail_s * FINE_HZ)
+    pad = ((lead, tail), (0, 0))
+    rpy = np.pad(disturbance.rpy_rad, pad, mode="edge")
+    rpy[:lead] = 0.0
+    speed = np.pad(disturbance.speed_mps, (lead, tail), mode="edge")
+    return BodyMotion(
+        accel_n=np.zeros((speed.size, 3)),
+        shake_b=np.pad(disturbance.accel_b, pad),
+        rpy_rad=rpy,
+        v_n=np.column_stack([speed, np.zeros(speed.size)]),
+    )
+
+
+def on_a_road(motion: BodyMotion, rng: np.random.Generator, engine_on: bool) -> BodyMotion:
+    """With the shaking of road and engine: a level drawn for the road, more of it the faster the car goes."""
+    low, high = ROAD_SHAKE_MPS2
+    level = low * (high / low) ** rng.random()
+    return replace(motion, shake_b=motion.shake_b + road_shake(motion.speed_mps, level, engine_on, rng))
+
+
+def road_shake(speed_mps: FloatArray, level_mps2: float, engine_on: bool, rng: np.random.Generator) -> FloatArray:
+    """Shaking of road (wheel hop and body bounce) and engine, (n, 3), m/s2; ``level_mps2`` is the sd at 14 m/s."""
+    n = speed_mps.size
+    bounce, hop = band_noise(n, 2.0, 0.5, rng), band_noise(n, 12.0, 0.5, rng)
+    road = (0.85 * bounce * np.array([0.35, 0.35, 1.0]) + 0.5 * hop * np.array([0.5, 0.5, 1.0])) * (
+        level_mps2 * np.sqrt(speed_mps / 14.0)
+    )[:, None]
+    engine = 0.06 * band_noise(n, 27.0, 0.02, rng) if engine_on else 0.0
+    return np.asarray(road + engine)

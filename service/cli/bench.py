@@ -226,8 +226,8 @@ def _print_kernel(*, as_json: bool) -> None:
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.part or arguments.drives is not None:
         raise UsageError(
-            "--part and --drives are for --navigation and --accidents, --part also for --calibration;"
-            " expected one of these beside them"
+            "--part and --drives are for --navigation and --accidents, --part also for --calibration and --drives for"
+            " --roads; expected one of these beside them"
         )
     if not 1 <= arguments.vehicles <= MAX_VEHICLES:
         raise UsageError(f"--vehicles {arguments.vehicles}: expected 1 to {MAX_VEHICLES}")

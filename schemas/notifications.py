@@ -10,6 +10,8 @@ from typing import Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from schemas.impacts import ImpactFigures
+
 MAX_MESSAGE_BYTES: Final = 20_000
 """Receivers may rely on a message being smaller than this; evidence is fetched, not pushed."""
 
@@ -34,16 +36,23 @@ class EventBody(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class AccidentBody(EventBody):
-    """Data of ``accident.*``: enough to act on; the evidence is at ``GET /v1/accidents/{accident_id}``."""
+class AccidentBody(ImpactFigures, EventBody):
+    """Data of ``accident.*``: enough to act on; the evidence is at ``GET /v1/accidents/{accident_id}``.
+
+    Told again as more is known. Messages may come in any order: of two with the same ``accident_id`` the higher
+    ``revision`` is the newer, and of one revision that with a ``review_id``.
+    """
 
     accident_id: str
     vehicle_id: str
     trip_id: str | None
-    t_ns: int = Field(description="Start of the impact, UTC")
-    status: str
+    t_ns: int = Field(description="Start of the first impact, UTC")
+    revision: int
+    kind: str = Field(description="collision, parked_hit or rollover")
+    status: str = Field(description="suspected, confirmed, retracted, or false by a reviewer")
     severity: str = Field(description="low_speed, severe or airbag")
     confidence: float = Field(ge=0, le=1)
+    street: str | None
     lat_deg: float | None = Field(description="Place of the impact; null where the box never had a fix")
     lon_deg: float | None
     alt_m: float | None
@@ -52,15 +61,7 @@ class AccidentBody(EventBody):
     cov_ne_m2: float | None = Field(description="Covariance of the position's north and east errors")
     heading_deg: float | None
     mode: str = Field(description="How the position was known: aided, or coasting without GNSS")
-    delta_v_mps: float
-    delta_v_sd_mps: float
-    pdof_deg: float = Field(description="Where the force came from, clockwise seen from above, 0 is the front")
-    peak_mps2: float
-    duration_s: float
-    clipped: bool = Field(description="The accelerometer read its full scale, so the peak is a lower bound")
-    speed_before_mps: float | None
-    detector: str
-    paper_agrees: bool = Field(description="Whether the published fixed-threshold rule finds this accident too")
+    review_id: str | None = Field(default=None, description="The review that brought this; null where more was felt")
 
 
 class TripBody(EventBody):

@@ -23,6 +23,8 @@ GyroInstability = Annotated[float, Field(ge=0, le=0.01, allow_inf_nan=False)]
 GyroWalk = Annotated[float, Field(ge=0, le=0.001, allow_inf_nan=False)]
 GyroBias = Annotated[float, Field(gt=0, le=0.2, allow_inf_nan=False)]
 
+Propulsion = Literal["gasoline", "diesel", "cng", "lpg", "electric", "hydrogen", "other"]
+
 Interval = tuple[NotNegative, NotNegative]
 
 
@@ -112,6 +114,14 @@ class VehicleConfig(Model):
         description="Where the accelerometer clips; left out, it is read from the packets.",
     )
     vehicle_class: Literal["car", "motorcycle", "van", "truck", "bus"] = "car"
+    vin: str | None = Field(
+        default=None,
+        pattern=r"^[A-HJ-NPR-Z0-9]{17}$",
+        description="Identification number (ISO 3779), for eCall.",
+    )
+    propulsion: tuple[Propulsion, ...] | None = Field(
+        default=None, description="What it carries to be driven by, for those who come to help."
+    )
     detector: Literal["telefuse", "paper"] = Field(default="telefuse", description="Which accident detector decides.")
     noise: SensorNoise | None = Field(
         default=None,

@@ -11,6 +11,8 @@ from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
 from service.api import (
+    accident_candidates,
+    accident_evidence,
     accidents,
     calibration_runs,
     calibrations,
@@ -18,6 +20,7 @@ from service.api import (
     events,
     health,
     problems,
+    reviews,
     trips,
     vehicles,
     webhook_endpoints,
@@ -69,7 +72,18 @@ def create_app(settings: Settings, runtime: Runtime | None = None) -> FastAPI:
     problems.install(app)
 
     v1 = APIRouter(prefix="/v1")
-    for module in (vehicles, calibrations, calibration_runs, trips, accidents, events, webhook_endpoints):
+    for module in (
+        vehicles,
+        calibrations,
+        calibration_runs,
+        trips,
+        accidents,
+        accident_candidates,
+        accident_evidence,
+        reviews,
+        events,
+        webhook_endpoints,
+    ):
         v1.include_router(module.router)
     app.include_router(v1)
     app.include_router(health.router)

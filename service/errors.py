@@ -85,6 +85,27 @@ class ConflictError(ServiceError):
     status = 409
 
 
+class EvidencePendingError(ConflictError):
+    """The evidence of an accident is not built yet."""
+
+    code = "evidence_pending"
+
+    def __init__(self, detail: str, *, retry_after_s: int, **extra: object) -> None:
+        super().__init__(detail, **extra)
+        self.retry_after_s = retry_after_s
+
+    @property
+    def headers(self) -> Mapping[str, str]:
+        """When to try again."""
+        return {"Retry-After": str(self.retry_after_s)}
+
+
+class EvidenceFailedError(ConflictError):
+    """The evidence of an accident could not be built."""
+
+    code = "evidence_failed"
+
+
 class PreconditionFailedError(ServiceError):
     """What the caller wants to change is no longer as they knew it."""
 

@@ -21,10 +21,12 @@ from service.engine.sessions import warm_up
 from service.engine.shard import EngineConfig
 from service.engine.telling import cloud_event
 from service.engine.worker import Engine
+from service.evidence.worker import EvidenceWorker
 from service.ingest.journal import Journal
 from service.ingest.receiver import Receiver
 from service.ingest.zenoh import ZenohIngest
 from service.observability import Metrics
+from service.roads.matching import RoadService
 from service.settings import Settings
 from service.storage import retention, schema
 from service.storage.database import open_database, read
@@ -58,6 +60,8 @@ class Runtime:
     sender: Sender
     run_files: RunFiles
     calibrating: CalibrationWorker
+    proving: EvidenceWorker
+    roads: RoadService
     zenoh: ZenohIngest
     _sending: asyncio.Task[None]
 
@@ -88,6 +92,9 @@ class Runtime:
         def at_stop(close: Callable[[], object]) -> None:
             stack.push_async_callback(in_thread, close)
 
+        self.roads = RoadService(settings.roads)
+        self.roads.start()
+        at_stop(self.roads.stop)
         self.database = open_database(settings.database_url)
         at_stop(self.database.dispose)
         at_stop(await in_thread(hold_database, self.database))
@@ -130,6 +137,9 @@ class Runtime:
         self.calibrating = CalibrationWorker(self.database, self.run_files)
         self.calibrating.start()
         at_stop(self.calibrating.stop)
+        self.proving = EvidenceWorker(self.database, self.directory, gap_wait_s=settings.gap_wait_s)
+        self.proving.start()
+        at_stop(self.proving.stop)
         # Nothing is taken before this line, and nothing after its stop; what comes is refused to be sent again.
         self.journal.start()
         at_stop(self.journal.stop)
@@ -175,6 +185,8 @@ class Runtime:
                     journal_days=settings.retention_journal_days,
                     track_days=settings.retention_track_days,
                     events_days=settings.retention_events_days,
+                    candidates_days=settings.retention_candidates_days,
+                    evidence_days=settings.retention_evidence_days,
                 )
                 files = await asyncio.to_thread(
                     self.run_files.sweep, self.database, time.time_ns(), settings.retention_recordings_days

@@ -104,6 +104,17 @@ class Settings(BaseSettings):
     retention_events_days: int = Field(
         default=90, ge=0, description="Days that events and their deliveries can be read again; 0 is for ever."
     )
+    retention_candidates_days: int = Field(
+        default=90,
+        ge=0,
+        description="Days that shocks which were judged to be no accident can be looked at; 0 is for ever.",
+    )
+    retention_evidence_days: int = Field(
+        default=1095,
+        ge=0,
+        description="Days that the evidence of an accident is kept, whatever becomes of packets and track; 0 is for "
+        "ever. It goes with its vehicle.",
+    )
 
     retention_recordings_days: int = Field(
         default=30,
@@ -122,7 +133,11 @@ class Settings(BaseSettings):
     cluster: Literal["none"] = Field(
         default="none", description="Distributed engine; this version has one process only."
     )
-    roads: Literal["none"] = Field(default="none", description="Prepared road data; this version has no map matching.")
+    roads: Path | None = Field(
+        default=None,
+        description="Folder that 'telefuse roads build' made, for street, legal limit and district; without it roads "
+        "are unknown.",
+    )
 
     dangerous_allow_private_webhook_targets: bool = Field(
         default=False,

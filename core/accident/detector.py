@@ -25,7 +25,7 @@ from core.accident.events import (
 )
 from core.accident.judgement import Aftermath, Evidence, followed, log_odds, probability, reasons
 from core.accident.level import CLIPPED, ROUGH, SPEED, LevelMotion
-from core.accident.naming import manoeuvre, name
+from core.accident.naming import lean, manoeuvre, name
 from core.accident.pulse import Pulse, read_pulse, unclip
 from core.accident.severity import classify, force_direction_deg, force_direction_sd_deg, injury_risk
 from core.accident.shocks import read_shock
@@ -109,6 +109,8 @@ class ImpactDetector:
                 self._name_manoeuvre(row, found)
             elif stop == Stop.TILTED:
                 self._lies(row, found)
+            elif stop == Stop.LEANT:
+                self._leans(row, found)
             else:
                 self._close(row, found)
             row += 1
@@ -195,10 +197,11 @@ class ImpactDetector:
             retained=pulse.retained,
             rate_radps=pulse.rate_radps,
             jolt_radps=pulse.jolt_radps,
+            clipping_s=pulse.clipping_s,
             abrupt=pulse.abrupt,
             rough_mps2=math.sqrt(max(float(x[pulse.first, ROUGH]), 0.0)),
             stood=pulse.stood,
-            fell=int(t_ns[pulse.first]) - int(self._registers[trigger.FELL]) < _ns(FELL_BEFORE_S),
+            fell=self._fell(int(t_ns[pulse.first])) and pulse.rate_radps > limits.naming.fallen_radps,
         )
         odds = log_odds(evidence, limits.judgement)
         pdof_deg = force_direction_deg(*direction)
@@ -224,6 +227,9 @@ class ImpactDetector:
             reasons=reasons(_NOTHING_YET, limits.aftermath, clipped=clipped, rollover=False),
         )
         return impact, odds
+
+    def _fell(self, t_ns: int) -> bool:
+        return t_ns - int(self._registers[trigger.FELL]) < _ns(FELL_BEFORE_S)
 
     def _parked(self, t_ns: int) -> bool:
         if self._ignition is not None:
@@ -338,7 +344,7 @@ class ImpactDetector:
         shock, swing_mps, delta_v_mps, duration_s = read_shock(
             level.t_ns, level.x, level.flags, start_ns, last_ns,
             shocks=int(registers[trigger.SHOCKS]),
-            fell=start_ns - registers[trigger.FELL] < _ns(FELL_BEFORE_S),
+            fell=self._fell(start_ns),
             moved=start_ns - registers[trigger.MOVED] < _ns(self._limits.aftermath.parked_s),
             towed=bool(self._seen_flags & FLAG_TOW),
         )  # fmt: skip
@@ -397,12 +403,12 @@ class ImpactDetector:
         shock, swing_mps, delta_v_mps, _ = read_shock(
             level.t_ns, level.x, level.flags, since_ns - _ns(1.0), since_ns,
             shocks=0,
-            fell=since_ns - registers[trigger.FELL] < _ns(FELL_BEFORE_S),
+            fell=self._fell(since_ns),
             moved=since_ns - registers[trigger.MOVED] < _ns(limits.aftermath.parked_s),
             towed=bool(self._seen_flags & FLAG_TOW),
         )  # fmt: skip
         rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
-        loose = shock.stood or shock.fell or rate > 2.0 * limits.judgement.rotation_radps
+        loose = shock.stood or shock.fell or rate > limits.judgement.rotation_radps
         speed_mps = float(level.x[first, SPEED])
         agrees = paper_rule.holds_within(level.x, first, row, limits.paper)
         if loose:
@@ -435,6 +441,19 @@ class ImpactDetector:
             rollover=True,
         )
         self._begin(impact, ROLLOVER_ODDS, row, found)
+
+    def _leans(self, row: int, found: Findings) -> None:
+        """Tell what leans a parked vehicle."""
+        registers, level = self._registers, self._level
+        since_ns, now = int(registers[trigger.LEAN_LAST]), int(level.t_ns[row])
+        if self._open is not None:
+            return
+        reason = lean(int(registers[trigger.LEANS]), self._limits.naming)
+        found.candidates.append(
+            Candidate(
+                since_ns, now, reason, 0.0, 0.0, 0.0, 0.0, (now - since_ns) * 1e-9, float(level.x[row, SPEED]), False
+            )
+        )
 
     def _take_flags(self, flags: int, found: Findings) -> None:
         """An airbag or a loss of power makes an open accident surer, and is told at once."""

@@ -27,6 +27,7 @@ class Evidence:
     rate_radps, jolt_radps : the fastest rotation and the largest change of it
     rough_mps2 : rms of the vertical acceleration just before
     stood : whether the vehicle had stood
+    clipping_s : for how long an axis of the accelerometer read its full scale at a stretch
     fell : whether the box fell freely just before
     """
 
@@ -40,6 +41,7 @@ class Evidence:
     jolt_radps: float
     rough_mps2: float
     stood: bool
+    clipping_s: float
     fell: bool
 
 
@@ -73,7 +75,16 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     if evidence.rate_radps > limits.rotation_radps:
         total -= limits.rotation * math.log(evidence.rate_radps / limits.rotation_radps)
     glitch = evidence.abrupt < limits.abrupt_share and evidence.jolt_radps < limits.abrupt_radps
-    return min(total, limits.impossible) if glitch or evidence.fell else total
+    stuck = evidence.clipping_s > limits.stuck_s or (
+        evidence.clipping_s > limits.still_s and _is_still(evidence, limits)
+    )
+    return min(total, limits.impossible) if glitch or stuck or evidence.fell else total
+
+
+def _is_still(evidence: Evidence, limits: JudgementThresholds) -> bool:
+    """Whether nothing but the clipped axis moved."""
+    still = evidence.swing_mps < limits.still_share * evidence.delta_v_mps
+    return still and evidence.jolt_radps < limits.abrupt_radps
 
 
 def followed(odds: float, after: Aftermath, limits: JudgementThresholds, watched: AftermathThresholds) -> float:

@@ -15,15 +15,16 @@ from core.accident.thresholds import LevelThresholds
 from core.measurements import FloatArray, TimeArray
 
 A_X, A_Y, A_Z, V_X, V_Y, V_Z, SPEED, YAW_RATE, ROLL_RATE, PITCH_RATE = range(10)
-FORCE, UPRIGHT, REST_S, SLOW_X, SLOW_Y, ROUGH, HEADING_COS, HEADING_SIN = range(10, 18)
-COLUMNS: Final = 18
+FORCE, UPRIGHT, REST_S, SLOW_X, SLOW_Y, ROUGH, CLIP_S, HEADING_COS, HEADING_SIN = range(10, 19)
+COLUMNS: Final = 19
 """Columns of ``LevelMotion.x``. ``A`` is acceleration, m/s2, gravity removed, in the level frame: z down, x along the
 vehicle's heading when the series began, so that a spinning car's change of velocity adds up. ``V`` is its integral,
 m/s. ``SPEED`` is the fused speed, ``YAW_RATE``, ``ROLL_RATE`` and ``PITCH_RATE`` are the rates about the body's axes,
 rad/s, ``FORCE`` is the length of the specific force. ``UPRIGHT`` is the cosine between the vertical and where it
 usually is in the body, ``REST_S`` for how long the vehicle has stood, s. ``SLOW`` is the horizontal acceleration of
 the last ``slow_s``, what brakes, engine and steering do; ``ROUGH`` the mean square of the vertical one over
-``rough_s``. ``HEADING`` is the vehicle's in the level frame."""
+``rough_s``. ``CLIP_S`` is for how long an axis has read its full scale, s; ``HEADING`` is the vehicle's in the level
+frame."""
 
 CLIPPED: Final = 1
 """Bit of ``LevelMotion.flags``: the accelerometer read its full scale in the horizontal plane."""
@@ -86,8 +87,6 @@ class LevelMotion:
                 [
                     limits.usual_s,
                     limits.standing_mps,
-                    limits.still_mps2,
-                    limits.still_radps,
                     limits.slow_s,
                     limits.rough_s,
                 ]
@@ -145,11 +144,11 @@ def _extend(
 ) -> int:
     """Fill rows from ``row`` on; return the row after the last.
 
-    ``downs`` (2, 3) are the carried vertical and where it usually is, kept up. ``context`` (6,): the time over which
-    the usual one follows, what counts as standing (m/s, m/s2, rad/s), and the times of the two means.
+    ``downs`` (2, 3) are the carried vertical and where it usually is, kept up. ``context`` (4,): the time over which
+    the usual one follows, s, below which speed a vehicle stands, m/s, and the times of the two means, s.
     """
     down, usual = downs[0], downs[1]
-    usual_s, standing_mps, still_mps2, still_radps, slow_s, rough_s = context
+    usual_s, standing_mps, slow_s, rough_s = context
     for i in range(in_t_ns.shape[0]):
         fx, fy, fz = f_b[i, 0], f_b[i, 1], f_b[i, 2]
         p, q, r = omega_b[i, 0], omega_b[i, 1], omega_b[i, 2]
@@ -219,14 +218,15 @@ def _extend(
         if not math.isfinite(usual[0]):
             usual[0], usual[1], usual[2] = dx, dy, dz
         x[row, UPRIGHT] = usual[0] * dx + usual[1] * dy + usual[2] * dz
-        if x[row, UPRIGHT] > 0.9 and abs(force - gravity_mps2) < band_mps2:
+        # While it stands, a car that is lifted or carried leans against how it stood.
+        stands = speed_mps[i] < standing_mps
+        if x[row, UPRIGHT] > 0.9 and abs(force - gravity_mps2) < band_mps2 and not stands:
             share = step / (usual_s + step)
             ex = usual[0] + share * (dx - usual[0])
             ey = usual[1] + share * (dy - usual[1])
             ez = usual[2] + share * (dz - usual[2])
             norm = max(math.sqrt(ex * ex + ey * ey + ez * ez), 1e-9)
             usual[0], usual[1], usual[2] = ex / norm, ey / norm, ez / norm
-        a2 = x[row, A_X] * x[row, A_X] + x[row, A_Y] * x[row, A_Y]
         if first:
             x[row, SLOW_X], x[row, SLOW_Y], x[row, ROUGH] = 0.0, 0.0, 0.0
         else:
@@ -234,9 +234,8 @@ def _extend(
             x[row, SLOW_X] = x[row - 1, SLOW_X] + slow * (x[row, A_X] - x[row - 1, SLOW_X])
             x[row, SLOW_Y] = x[row - 1, SLOW_Y] + slow * (x[row, A_Y] - x[row - 1, SLOW_Y])
             x[row, ROUGH] = x[row - 1, ROUGH] + rough * (x[row, A_Z] * x[row, A_Z] - x[row - 1, ROUGH])
-        # Slow by what the filter says; where it says nothing, by what the box feels.
-        still = a2 < still_mps2 * still_mps2 and abs(p) + abs(q) + abs(r) < still_radps
-        stands = speed_mps[i] < standing_mps if math.isfinite(speed_mps[i]) else still
+        # A car that cruises on a smooth road feels like one that stands: only the filter's speed tells.
+        x[row, CLIP_S] = x[row - 1, CLIP_S] + dt if saturated[i] != 0 and not first else 0.0
         x[row, REST_S] = x[row - 1, REST_S] + dt if stands and not first else 0.0
         x[row, HEADING_COS], x[row, HEADING_SIN] = cos, sin
         t_ns[row], flags[row] = in_t_ns[i], flag

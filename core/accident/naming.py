@@ -19,10 +19,11 @@ class Shock:
     stood, moved : whether the vehicle had stood, and whether it has moved within the last minutes
     shocks : how many followed each other
     abrupt : largest acceleration right before and after, over the peak
+    clipping_s : for how long an axis of the accelerometer read its full scale at a stretch
     heave_s : length of the largest vertical swing
     sway_radps, nod_radps, turn_radps : largest roll, pitch and yaw rates
     rough_mps2 : rms of the vertical acceleration just before
-    forward_mps2, right_mps2 : the slow horizontal acceleration just before
+    forward_mps2, right_mps2 : the mean horizontal acceleration of it
     fell : whether the box fell just before
     tilt_deg : how far the vertical is from where it usually is
     towed : whether the box says that the vehicle is towed
@@ -33,6 +34,7 @@ class Shock:
     moved: bool
     shocks: int
     abrupt: float
+    clipping_s: float
     heave_s: float
     sway_radps: float
     nod_radps: float
@@ -50,33 +52,46 @@ class Shock:
 def name(shock: Shock, limits: NamingThresholds) -> NoAccident:
     """The class that fits a shock best; UNEXPLAINED where none does. Rules in the order of how sure they are."""
     rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
-    if shock.fell:
+    if shock.fell and rate > limits.fallen_radps:
         return NoAccident.BOX_DROPPED
-    if shock.abrupt < limits.abrupt_share and rate < limits.abrupt_radps:
+    if shock.clipping_s > limits.stuck_s or (shock.abrupt < limits.abrupt_share and rate < limits.abrupt_radps):
         return NoAccident.SENSOR_GLITCH
-    if rate > limits.knock_radps:
-        return NoAccident.BOX_KNOCKED
     if shock.stood:
-        if shock.towed or (not shock.moved and shock.tilt_deg > limits.tilt_deg):
+        if shock.towed:
             return NoAccident.TOWING
-        return NoAccident.DOOR_SLAM
+        return NoAccident.BOX_KNOCKED if rate > limits.knock_radps else NoAccident.DOOR_SLAM
+    if rate > limits.loose_radps and shock.heave_s < limits.knock_s:
+        return NoAccident.BOX_KNOCKED
+    if shock.vertical_mps2 < limits.level_share * shock.horizontal_mps2:
+        if shock.speed_mps < limits.slow_mps:
+            return NoAccident.KERB
+        return manoeuvre(shock.forward_mps2, shock.right_mps2, limits)
+    return _road(shock, limits)
+
+
+def _road(shock: Shock, limits: NamingThresholds) -> NoAccident:
+    """What a road does to a car that drives over it."""
     if shock.shocks >= limits.train_shocks or shock.rough_mps2 > limits.rough_mps2:
         return NoAccident.VIBRATION_TRAIN
     if shock.shocks >= limits.crossing_shocks:
         return NoAccident.RAILWAY_CROSSING
-    if shock.vertical_mps2 < shock.horizontal_mps2:
-        return manoeuvre(shock.forward_mps2, shock.right_mps2, limits)
-    if shock.heave_s >= limits.bump_s and shock.nod_radps >= shock.sway_radps:
-        return NoAccident.SPEED_BUMP
-    if shock.speed_mps < limits.kerb_mps:
+    if shock.speed_mps < limits.kerb_mps and shock.sway_radps > limits.kerb_radps:
         return NoAccident.KERB
+    nods = shock.nod_radps >= shock.sway_radps
+    if shock.heave_s >= limits.bump_s and nods and shock.speed_mps < limits.bump_mps:
+        return NoAccident.SPEED_BUMP
     return NoAccident.POTHOLE
 
 
 def manoeuvre(forward_mps2: float, right_mps2: float, limits: NamingThresholds) -> NoAccident:
-    """Hard braking or cornering, by the slow acceleration, m/s2."""
-    if -forward_mps2 > max(limits.braking_mps2, abs(right_mps2)):
+    """Hard braking or cornering, by the acceleration that goes on, m/s2."""
+    if -forward_mps2 > max(limits.steady_mps2, abs(right_mps2)):
         return NoAccident.EMERGENCY_BRAKING
-    if abs(right_mps2) > limits.braking_mps2:
+    if abs(right_mps2) > max(limits.steady_mps2, abs(forward_mps2)):
         return NoAccident.HARD_CORNERING
     return NoAccident.UNEXPLAINED
+
+
+def lean(leans: int, limits: NamingThresholds) -> NoAccident:
+    """What leans a parked vehicle, by how often it has."""
+    return NoAccident.FERRY if leans >= limits.ferry_leans else NoAccident.TOWING

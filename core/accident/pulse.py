@@ -12,6 +12,7 @@ from core.accident.level import (
     A_X,
     A_Y,
     A_Z,
+    CLIP_S,
     CLIPPED,
     FORCE,
     GAP,
@@ -36,11 +37,11 @@ from core.measurements import FloatArray, TimeArray
 class Pulse(NamedTuple):
     """A pulse between two rows. Velocities are changes along forward and right at its start, m/s.
 
-    ``beyond_mps`` is by how much the change exceeds what tyres, pedals and steering can.
-    ``swing_mps`` is the range of the vertical change of velocity around it, ``retained`` the share of the largest
-    change that was kept, ``abrupt`` the largest acceleration right before and after as a share of its peak,
-    ``rate_radps`` the fastest rotation and ``jolt_radps`` the largest change of it, ``stood`` whether the vehicle had
-    stood before.
+    ``beyond_mps`` is by how much the change exceeds what tyres, pedals and steering can. ``swing_mps`` is the range of
+    the vertical change of velocity around it, ``retained`` the share of the largest change that was kept, ``clipped_s``
+    how much of it clipped and ``clipping_s`` for how long an axis read its full scale at a stretch, ``abrupt`` the
+    acceleration right before and after as a share of its peak, ``rate_radps`` the fastest rotation and ``jolt_radps``
+    the largest change of it, ``stood`` whether the vehicle had stood before.
     """
 
     first: int
@@ -53,6 +54,7 @@ class Pulse(NamedTuple):
     peak_mps2: float
     duration_s: float
     clipped_s: float
+    clipping_s: float
     abrupt: float
     rate_radps: float
     jolt_radps: float
@@ -191,7 +193,15 @@ def widened(
 
 @njit(cache=True, nogil=True)
 def measure(
-    t_ns: TimeArray, x: FloatArray, flags: Flags, first: int, last: int, end: int, friction_mps2: float, around_ns: int
+    t_ns: TimeArray,
+    x: FloatArray,
+    flags: Flags,
+    first: int,
+    last: int,
+    end: int,
+    stood: bool,
+    friction_mps2: float,
+    around_ns: int,
 ) -> tuple[float, float, float, float, float, float, float, float, float, bool]:
     """Read a pulse between two rows, with rows up to ``end`` (inclusive) to see what became of it.
 
@@ -222,11 +232,13 @@ def measure(
     for k in range(first + 1, last + 1):
         if flags[k] & CLIPPED and _along(x, k, dvx, dvy) > 0.0:
             clipped_s += (t_ns[k] - t_ns[k - 1]) * 1e-9
+    # Brakes hold a car that was pushed from rest; and of a clipped pulse tyres take back much of what was read.
+    friction = friction_mps2 if stood else 0.5 * friction_mps2 if clipped_s > 0.0 else 0.0
     left = largest
     for k in range(last, end + 1):  # shaking swings back and forth again: the least that was left counts
         since = (t_ns[k] - t_ns[first]) * 1e-9
         vx, vy = x[k, V_X] - x[first, V_X] - slow_x * since, x[k, V_Y] - x[first, V_Y] - slow_y * since
-        left = min(left, math.hypot(vx, vy) + friction_mps2 * (t_ns[k] - t_ns[last]) * 1e-9)
+        left = min(left, math.hypot(vx, vy) + friction * (t_ns[k] - t_ns[last]) * 1e-9)
     kept = left / max(largest, 1e-9)
     begin = first
     while begin > 0 and not flags[begin] & GAP and t_ns[first] - t_ns[begin - 1] <= around_ns:
@@ -398,9 +410,8 @@ def read_pulse(
     core_first, core_last, most = core_rows(t_ns, x, start, end, trigger.rest_s, reach)
     first, last = widened(t_ns, x, flags, core_first, core_last, end, limits.onset_mps2, limits.onset_s)
     stood = bool(x[core_first, REST_S] >= trigger.rest_s)
-    friction = limits.friction_mps2 if stood else 0.0
     dvx, dvy, swing, kept, peak, clipped_s, abrupt, rate, jolt, levelled = measure(
-        t_ns, x, flags, first, last, end, friction, round(limits.around_s * 1e9)
+        t_ns, x, flags, first, last, end, stood, limits.friction_mps2, round(limits.around_s * 1e9)
     )
     cos, sin = float(x[first, HEADING_COS]), float(x[first, HEADING_SIN])
     return Pulse(
@@ -414,6 +425,7 @@ def read_pulse(
         peak_mps2=peak,
         duration_s=float(t_ns[last] - t_ns[first]) * 1e-9,
         clipped_s=clipped_s,
+        clipping_s=float(x[first : end + 1, CLIP_S].max()),
         abrupt=abrupt,
         rate_radps=rate,
         jolt_radps=jolt,

@@ -10,6 +10,7 @@ from core.accident.level import (
     A_X,
     A_Y,
     A_Z,
+    CLIP_S,
     GAP,
     HEADING_COS,
     HEADING_SIN,
@@ -56,7 +57,9 @@ def read_shock(
     vertical, horizontal = np.abs(x[:, A_Z]), np.hypot(x[:, A_X], x[:, A_Y])
     largest = np.maximum(vertical, horizontal)
     cos, sin = float(x[0, HEADING_COS]), float(x[0, HEADING_SIN])
-    slow_x, slow_y = float(x[0, SLOW_X]), float(x[0, SLOW_Y])
+    # The last mean of some tenths of a second, whichever is larger: before, as when a kerb ends braking, or by the end.
+    at = int(np.argmax(np.hypot(x[:, SLOW_X], x[:, SLOW_Y])))
+    slow_x, slow_y = float(x[at, SLOW_X]), float(x[at, SLOW_Y])
     heave_s = _same_way_s(t_ns[first:end], x[:, A_Z], int(np.argmax(vertical)))
     shock = Shock(
         speed_mps=float(x[0, SPEED]),
@@ -64,6 +67,7 @@ def read_shock(
         moved=moved,
         shocks=shocks,
         abrupt=_abruptness(largest),
+        clipping_s=float(np.max(x[:, CLIP_S])),
         heave_s=heave_s,
         sway_radps=float(np.max(np.abs(x[:, ROLL_RATE]))),
         nod_radps=float(np.max(np.abs(x[:, PITCH_RATE]))),
@@ -84,8 +88,10 @@ def read_shock(
 def _abruptness(felt: FloatArray) -> float:
     """Larger of the samples just before and after those above 0.3 of the peak, over the peak."""
     loud = np.flatnonzero(felt > 0.3 * np.max(felt))
-    beside = np.concatenate([felt[max(loud[0] - 1, 0) : loud[0]], felt[loud[-1] + 1 : loud[-1] + 2]])
-    return float(np.max(beside, initial=0.0) / max(np.max(felt), 1e-9))
+    if loud[0] == 0 or loud[-1] == len(felt) - 1:  # it goes on beyond what was looked at
+        return 1.0
+    beside = felt[[loud[0] - 1, loud[-1] + 1]]
+    return float(np.max(beside) / max(np.max(felt), 1e-9))
 
 
 def _same_way_s(t_ns: TimeArray, values: FloatArray, at: int) -> float:

@@ -36,10 +36,6 @@ class LevelThresholds(Tunables):
     standing_mps: float = tunable(
         0.3, unit="m/s", low=0.05, high=1.0, source="choice: fused speeds of standing cars stay below 0.1 m/s"
     )
-    still_mps2: float = tunable(
-        1.0, unit="m/s2", low=0.1, high=5.0, source="choice: an idling engine shakes by less, a moving car by more"
-    )
-    still_radps: float = tunable(0.1, unit="rad/s", low=0.01, high=1.0, source="choice: as still_mps2")
     slow_s: float = tunable(
         0.3, unit="s", low=0.05, high=2.0, source="choice: brakes build up within it, a crash pulse is over"
     )
@@ -159,7 +155,7 @@ class TriggerThresholds(Tunables):
         0.1, unit="s", low=0.0, high=0.5, source="choice: time left to a slow pulse that is suspected after decide_s"
     )
     shock_mps2: float = tunable(
-        15.0, unit="m/s2", low=5.0, high=100.0, source="choice: beyond nearly all of 500 recorded potholes and bumps"
+        10.0, unit="m/s2", low=5.0, high=100.0, source="choice: twice the median of 500 recorded potholes and bumps"
     )
     shock_apart_s: float = tunable(
         0.08, unit="s", low=0.02, high=0.5, source="choice: two axles over one edge at 100 km/h are so far apart"
@@ -178,6 +174,14 @@ class TriggerThresholds(Tunables):
         3.0, unit="m/s2", low=0.5, high=6.0, source="choice: a falling box feels nothing, a car over a crest over 5"
     )
     fall_s: float = tunable(0.08, unit="s", low=0.02, high=0.5, source="choice: a fall of 3 cm")
+    lean_parked_s: float = tunable(
+        60.0, unit="s", low=5.0, high=3600.0, source="choice: whoever loads a vehicle first lets it stand"
+    )
+    lean_deg: float = tunable(3.0, unit="deg", low=0.5, high=20.0, source="choice: passengers lean a car by 1 deg")
+    lean_quiet_s: float = tunable(
+        20.0, unit="s", low=5.0, high=300.0, source="choice: longer than a ship rolls (7 to 14 s)"
+    )
+    lean_longest_s: float = tunable(120.0, unit="s", low=20.0, high=3600.0, source="choice: told while it goes on")
     tilt_deg: float = tunable(60.0, unit="deg", low=30.0, high=120.0, source="Digital Matter: rollover from 60 degrees")
     tilt_s: float = tunable(0.5, unit="s", low=0.1, high=5.0, source="choice: longer than attitude errs by a shock")
 
@@ -273,6 +277,19 @@ class JudgementThresholds(Tunables):
     abrupt_radps: float = tunable(
         0.15, unit="rad/s", low=0.0, high=2.0, source="choice: blows turn a car, if only by its springs"
     )
+    stuck_s: float = tunable(
+        0.2, unit="s", low=0.05, high=1.0, source="choice: crash pulses at 2 g last 0.12 s; an axis that hangs goes on"
+    )
+    still_s: float = tunable(
+        0.08, unit="s", low=0.01, high=1.0, source="choice: clipped so long, a blow has shaken the other axes too"
+    )
+    still_share: float = tunable(
+        0.06,
+        unit="1",
+        low=0.0,
+        high=0.5,
+        source="NHTSA test 10146: the vertical has 0.07 of the clipped change and more",
+    )
     impossible: float = tunable(
         -7.0, unit="1", low=-50.0, high=0.0, source="choice, 1 in 1000: a failing converter, or a box that falls freely"
     )
@@ -311,30 +328,47 @@ class NamingThresholds(Tunables):
     """By what the classes that are no accidents are told from each other."""
 
     abrupt_share: float = tunable(
-        0.12, unit="1", low=0.0, high=0.5, source="choice: bodies swell and ring; converters fail within a sample"
+        0.04, unit="1", low=0.0, high=0.5, source="choice: bodies swell and ring; converters fail within a sample"
     )
     abrupt_radps: float = tunable(
         0.2, unit="rad/s", low=0.0, high=2.0, source="choice: a turn is felt, but no blow that turns the car"
     )
-
+    stuck_s: float = tunable(
+        0.1, unit="s", low=0.02, high=1.0, source="choice: shocks that are no accidents clip for less"
+    )
+    fallen_radps: float = tunable(0.8, unit="rad/s", low=0.1, high=10.0, source="choice: a box that falls tumbles")
+    knock_radps: float = tunable(
+        0.25, unit="rad/s", low=0.05, high=20.0, source="choice: hands turn boxes, doors hardly a standing car"
+    )
+    loose_radps: float = tunable(
+        0.8, unit="rad/s", low=0.1, high=20.0, source="choice: roads turn a car by less within a knock's time"
+    )
+    knock_s: float = tunable(
+        0.04, unit="s", low=0.005, high=0.2, source="choice: knocks are shorter than a wheel's way"
+    )
+    slow_mps: float = tunable(1.2, unit="m/s", low=0.3, high=5.0, source="choice: kerb stones stop who parks")
+    level_share: float = tunable(
+        0.5, unit="1", low=0.1, high=2.0, source="choice: what shakes so little is no road but brakes or steering"
+    )
+    steady_mps2: float = tunable(2.5, unit="m/s2", low=0.5, high=10.0, source="choice: quarter of a g throughout")
+    rough_mps2: float = tunable(
+        2.5, unit="m/s2", low=1.0, high=20.0, source="choice: rms of cobbles and gravel, ISO 8608 classes D and E"
+    )
     train_shocks: int = tunable(
         6, unit="1", low=3, high=50, source="choice: two axles over two rails make four shocks, cobbles no end"
     )
     crossing_shocks: int = tunable(
         3, unit="1", low=2, high=10, source="choice: a pothole or bump makes two, one an axle"
     )
-    rough_mps2: float = tunable(
-        4.0, unit="m/s2", low=1.0, high=20.0, source="choice: rms of cobbles and gravel, ISO 8608 classes D and E"
-    )
-    braking_mps2: float = tunable(5.0, unit="m/s2", low=2.0, high=10.0, source="choice: half a g before the shock")
-    kerb_mps: float = tunable(6.0, unit="m/s", low=1.0, high=15.0, source="choice: kerbs are mounted slowly")
+    kerb_mps: float = tunable(8.0, unit="m/s", low=1.0, high=15.0, source="choice: kerbs are mounted slowly")
+    kerb_radps: float = tunable(0.35, unit="rad/s", low=0.05, high=3.0, source="choice: one side is lifted at a time")
     bump_s: float = tunable(
-        0.12, unit="s", low=0.03, high=0.5, source="choice: humps are metres long, holes and edges decimetres"
+        0.05, unit="s", low=0.01, high=0.5, source="choice: humps are metres long, holes and edges decimetres"
     )
-    knock_radps: float = tunable(3.0, unit="rad/s", low=0.5, high=20.0, source="choice: hands turn boxes, not cars")
-    tilt_deg: float = tunable(
-        4.0, unit="deg", low=1.0, high=20.0, source="choice: lifted by one axle, or up a ramp, while standing"
+    bump_mps: float = tunable(
+        14.0, unit="m/s", low=5.0, high=30.0, source="choice: humps stand where 50 km/h is the limit"
     )
+    ferry_leans: int = tunable(3, unit="1", low=2, high=50, source="choice: a ship rolls on, a truck is loaded once")
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,18 +50,22 @@ class Stop(IntEnum):
     """The vehicle, or the box, has lain on its side for ``tilt_s``."""
     FOLLOWED = 6
     """What followed the open accident has been seen."""
+    LEANT = 7
+    """A parked vehicle has leant for a while: it is being towed, or carried by a ship."""
 
 
 NEVER: Final = -(1 << 61)
 
 (PULSE, START, SUSPECTED, HOT, FLOOR, SEEN_EARLY, RESTED, SHOCK_START, SHOCK_LAST, SHOCKS) = range(10)
 (HARD_SINCE, HARD_UNTIL, TILTED, TILT_SEEN, FALL_SINCE, FELL, OPEN, OPEN_FROM, OPEN_UNTIL, MOVED) = range(10, 20)
-REGISTERS: Final = 20
+(LEAN_SINCE, LEAN_LAST, LEANS, UPRIGHT_AGAIN, LEAN_TOLD) = range(20, 25)
+REGISTERS: Final = 25
 """Registers, int64. Of a suspected pulse: whether there is one, its start and when it was suspected, the last sample
 beyond reach, the time windows may not begin before, whether its first look was had. When the vehicle stood last.
 Of shocks: the first, the last, how many. Since and until when driving was hard. Since when it lies on its side, and
 whether that was seen. Since when the box falls, and when it last had fallen for ``fall_s``. Of the open accident:
-whether there is one, from and until when it is followed; and when the vehicle moved last."""
+whether there is one, from and until when it is followed; and when the vehicle moved last. Since and until when a parked
+vehicle leans, how often, whether it was upright since, and whether that was told."""
 
 (LEAST_SPEED, MOST_SPEED, MOST_ROUGH, TURNED, LONGEST_REST, HARD_X, HARD_Y) = range(7)
 MARKS: Final = 7
@@ -73,7 +77,7 @@ right, m/s2."""
 def fresh_registers() -> TimeArray:
     """Registers of a vehicle of which nothing is known."""
     registers = np.full(REGISTERS, NEVER, dtype=np.int64)
-    registers[[PULSE, SEEN_EARLY, SHOCKS, TILT_SEEN, OPEN]] = 0
+    registers[[PULSE, SEEN_EARLY, SHOCKS, TILT_SEEN, OPEN, LEANS, UPRIGHT_AGAIN, LEAN_TOLD]] = 0
     return registers
 
 
@@ -82,7 +86,8 @@ def times_ns(trigger: TriggerThresholds, aftermath: AftermathThresholds) -> Time
     spans_s = (
         trigger.shortest_s, trigger.longest_s, trigger.settled_s, trigger.tell_s, trigger.decide_s,
         trigger.slow_decide_s, trigger.rest_s, trigger.shock_apart_s, trigger.shock_quiet_s, trigger.shock_longest_s,
-        trigger.hard_s, trigger.fall_s, trigger.tilt_s, aftermath.rest_s,
+        trigger.hard_s, trigger.fall_s, trigger.tilt_s, aftermath.rest_s, trigger.lean_parked_s, trigger.lean_quiet_s,
+        trigger.lean_longest_s,
     )  # fmt: skip
     return np.array([round(span_s * 1e9) for span_s in spans_s], dtype=np.int64)
 
@@ -94,6 +99,7 @@ def levels(trigger: TriggerThresholds) -> FloatArray:
             trigger.tyre_mps2, trigger.margin_mps, trigger.standing_mps2, trigger.standing_margin_mps,
             trigger.jerk_mps3, trigger.hot_mps2,
             trigger.shock_mps2, trigger.hard_mps2, trigger.fall_mps2, math.cos(math.radians(trigger.tilt_deg)),
+            math.cos(math.radians(trigger.lean_deg)), math.cos(math.radians(0.5 * trigger.lean_deg)),
         ]
     )  # fmt: skip
 
@@ -119,8 +125,9 @@ def scan(
     row, last row that counts as evidence, reason (``Stop``); the number of rows and END where nothing is left
     """
     shortest, longest, settled, tell, decide, slow_decide, rest = spans_ns[:7]
-    apart, quiet, longest_shocks, hard_for, fall_for, tilt_for, open_rest = spans_ns[7:]
-    tyre, margin, standing, standing_margin, jerk, hot, shock, hard, fall, tilt_cos = limits
+    apart, quiet, longest_shocks, hard_for, fall_for, tilt_for, open_rest = spans_ns[7:14]
+    parked, lean_quiet, lean_longest = spans_ns[14:]
+    tyre, margin, standing, standing_margin, jerk, hot, shock, hard, fall, tilt_cos, lean_cos, upright_cos = limits
     while row < t_ns.shape[0]:
         now = t_ns[row]
         gap = flags[row] & GAP
@@ -166,6 +173,15 @@ def scan(
                     break
                 back -= 1
 
+        if now - registers[MOVED] > parked:
+            _lean(x[row, UPRIGHT], now, registers, lean_cos, upright_cos)
+        over = now - registers[LEAN_LAST] >= lean_quiet
+        if registers[LEAN_SINCE] != NEVER and (over or now - registers[LEAN_SINCE] >= lean_longest):
+            if over:
+                registers[LEAN_SINCE] = NEVER
+            if not registers[LEAN_TOLD]:
+                registers[LEAN_TOLD] = 1
+                return row, row, 7
         if registers[TILTED] != NEVER and not registers[TILT_SEEN] and now - registers[TILTED] >= tilt_for:
             registers[TILT_SEEN] = 1
             return row, row, 5
@@ -233,6 +249,20 @@ def _watch(
             registers[TILTED] = now
     elif x[row, UPRIGHT] > tilt_cos + 0.15:  # ten degrees nearer upright: it is not lying any more
         registers[TILTED], registers[TILT_SEEN] = NEVER, 0
+
+
+@njit(cache=True, nogil=True)
+def _lean(upright: float, now: int, registers: TimeArray, lean_cos: float, upright_cos: float) -> None:
+    """Note how a parked vehicle leans, and how often it comes back upright."""
+    if upright < lean_cos:
+        if registers[LEAN_SINCE] == NEVER:
+            registers[LEAN_SINCE], registers[LEANS], registers[LEAN_TOLD], registers[UPRIGHT_AGAIN] = now, 1, 0, 0
+        elif registers[UPRIGHT_AGAIN]:
+            registers[LEANS] += 1
+            registers[UPRIGHT_AGAIN] = 0
+        registers[LEAN_LAST] = now
+    elif upright > upright_cos:
+        registers[UPRIGHT_AGAIN] = 1
 
 
 @njit(cache=True, nogil=True)

@@ -20,18 +20,22 @@ IntArray = npt.NDArray[np.int64]
 
 COARSE_S: Final = 0.04
 """Interval of the rates that a first guess is made of: a hand's turn has little beyond 5 Hz."""
-MOST_TURNS: Final = 2.0
+MOST_TURNS: Final = 5.0
 """Full turns that a hand makes from one position to the next, on the average; at most."""
-GRID: Final = 1.06
-"""Ratio of the scales tried: half of it is 3 % of a turn, far inside where the iteration finds home."""
+GRID: Final = 1.03
+"""Ratio of the scales tried: half of it is 7 % of a turn after five of them, inside where the iteration finds home."""
 SCALE_OFF: Final = 1.3
 """A scale further from 1 is no error of a gyroscope in rad/s but another unit."""
+NEAR_SCALES: Final = 19
+"""Tried between 1 / SCALE_OFF and SCALE_OFF, 3 % apart."""
 FAR_RAD: Final = 0.3
 """Angle between the ups of a turn from which on it bounds the scale: of less, a hand turns the box about up too."""
 BETTER: Final = 0.5
 """Another order of axes is believed where it misses less than this share of what the usual one does; a choice."""
-GOOD_RAD: Final = 0.2
-"""RMS by which gravity is missed with the right unit and axes before any fit: 4 % of half a turn is 0.13 rad."""
+GOOD_SHARE: Final = 0.04
+GOOD_RAD: Final = (0.2, 0.5)
+"""RMS by which gravity is missed with the right unit and axes before any fit: such a share of what was turned, which
+is the error of a scale, but no less and no more than this. Unrelated directions are 1.4 apart."""
 
 
 def matrix_of(triad: TriadCalibration) -> FloatArray:
@@ -84,26 +88,34 @@ def first_guess(
     """
     rates = _Coarse(t_s, shown - bias, begin, end, ups)
     asked = np.eye(3)
-    if not counts and rates.missed(asked) < GOOD_RAD:
+    if not counts and rates.missed(asked) < rates.good(1.0):
         return asked
     scales = rates.plausible_scales()
     scale, missed = rates.best(np.eye(3), scales)
     axes = np.eye(3)
-    if missed > GOOD_RAD:
+    if missed > rates.good(scale):
         for turned in axes_orders():
             found, then_missed = rates.best(turned, scales[::2])
             if then_missed < BETTER * missed:
                 scale, missed, axes = found, then_missed, turned
-    if not counts and missed < GOOD_RAD and not 1.0 / SCALE_OFF < scale < SCALE_OFF:
-        likely = "they look like raw counts: say so (--counts), or convert them"
-        if 1.0 / SCALE_OFF < math.radians(scale) < SCALE_OFF:
-            likely = "they look like degrees a second: multiply them by pi / 180"
-        elif scale < 1.0:
-            likely = "is their unit named too small, such as degrees a second for what is radians?"
-        raise InvalidInputError(f"rates are {scale:.3g} times what the turns between positions ask for; {likely}")
     if not counts and not 1.0 / SCALE_OFF < scale < SCALE_OFF:
+        # After several whole turns another number of them may seem as good, until each axis has its own scale.
+        near, near_missed = rates.best(axes, np.geomspace(SCALE_OFF, 1.0 / SCALE_OFF, NEAR_SCALES))
+        if BETTER * near_missed < missed:
+            return axes / near
+        if missed < rates.good(scale):
+            raise InvalidInputError(_other_unit(scale))
         return asked
     return axes / scale
+
+
+def _other_unit(scale: float) -> str:
+    likely = "they look like raw counts: say so (--counts), or convert them"
+    if 1.0 / SCALE_OFF < math.radians(scale) < SCALE_OFF:
+        likely = "they look like degrees a second: multiply them by pi / 180"
+    elif scale < 1.0:
+        likely = "is their unit named too small, such as degrees a second for what is radians?"
+    return f"rates are {scale:.3g} times what the turns between positions ask for; {likely}"
 
 
 def axes_orders() -> list[FloatArray]:
@@ -149,6 +161,10 @@ class _Coarse:
             ]
         )
         self.angle_rad = np.arccos(np.clip(np.einsum("ki,ki->k", *ups), -1.0, 1.0))
+
+    def good(self, scale: float) -> float:
+        """RMS, rad, by which gravity is missed at most, where ``scale`` is the right one but for its error."""
+        return float(np.clip(GOOD_SHARE * np.median(self.travelled) / scale, *GOOD_RAD))
 
     def plausible_scales(self) -> FloatArray:
         """Shown over true: no turn can be less than the angle between its ups, nor is it many full ones."""

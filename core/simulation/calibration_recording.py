@@ -33,8 +33,8 @@ class Handling(Tunables):
         1.5, unit="rad/s", low=0.05, high=10.0, source="choice: mean rate of a brisk turn; its peak is 1.9 times that"
     )
     least_move_s: float = tunable(1.0, unit="s", low=0.1, high=60.0, source="choice: taking up and laying down")
-    full_turns: float = tunable(
-        0.0, unit="1", low=0.0, high=1.0, source="share of the turns that go once more right round on their way"
+    full_turns: int = tunable(
+        0, unit="1", low=0, high=10, source="times that each move goes right round, about its own axis, on its way"
     )
     wobble_rad: float = tunable(0.15, unit="rad", low=0.0, high=1.0, source="choice: a hand turns about no fixed axis")
     tremor_rad: float = tunable(
@@ -174,6 +174,20 @@ def spread_orientations(count: int, generator: np.random.Generator) -> FloatArra
     return np.stack([aside, np.cross(-up, aside), -up], axis=1)
 
 
+def tipped(C_n_from_a: FloatArray) -> FloatArray:
+    """The same up directions (n, 3, 3) with headings such that each turn to the next is about a level axis."""
+    up_a = -C_n_from_a[:, 2]
+    found = [C_n_from_a[0]]
+    for before, after in pairwise(up_a):
+        axis_a = np.cross(before, after)
+        sine = float(np.linalg.norm(axis_a))
+        if sine < 1e-9:  # the same way up, or upside down: about any axis across
+            axis_a, sine = np.linalg.svd(before[None])[2][1], 1.0
+        angle_rad = math.atan2(float(np.linalg.norm(np.cross(before, after))), float(before @ after))
+        found.append(found[-1] @ rotations(-angle_rad / sine * axis_a[None])[0])
+    return np.array(found)
+
+
 def rotations(vectors_rad: FloatArray) -> FloatArray:
     """Matrices (n, 3, 3) of rotation vectors (n, 3), rad: exp of their cross products (Rodrigues)."""
     return _series(vectors_rad, *_sines(vectors_rad))
@@ -200,8 +214,7 @@ def _motion(
     """C_n_from_a(t) = C_i exp(s(t) phi_i) exp(tremor(t)): a turn about one axis, and what the hand adds to it."""
     steps = np.array([rotation_vector_from_matrix(a.T @ b) for a, b in pairwise(orientations)])
     length = np.linalg.norm(steps, axis=1)
-    further = (generator.random(len(steps)) < handling.full_turns) & (length > 0.0)
-    steps[further] *= (1.0 + 2.0 * math.pi / length[further])[:, None]
+    steps[length > 0.0] *= (1.0 + 2.0 * math.pi * handling.full_turns / length[length > 0.0])[:, None]
     held = np.r_[initial_rest_s, np.full(len(steps), hold_s)]
     moving = handling.least_move_s + np.linalg.norm(steps, axis=1) / handling.turn_radps
     begins = np.cumsum(np.r_[0.0, held[:-1] + moving])  # of each position

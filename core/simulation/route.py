@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
@@ -32,6 +32,14 @@ class Step:
     duration_s: float
     delta: float
     shape: Shape
+
+
+class Signal(Protocol):
+    """A smooth function of time."""
+
+    def at(self, t_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Value and time derivative at increasing times, (n,) each."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +93,12 @@ class Route:
     """What the car is made to do. Speeds along and right of the heading, by tyres and by impacts."""
 
     duration_s: float
-    forward_by_tyres: Channel
-    right_by_tyres: Channel
-    forward_by_impacts: Channel
-    right_by_impacts: Channel
-    heading_rad: Channel
-    grade_rad: Channel
+    forward_by_tyres: Signal
+    right_by_tyres: Signal
+    forward_by_impacts: Signal
+    right_by_impacts: Signal
+    heading_rad: Signal
+    grade_rad: Signal
     bumps: tuple[RoadBump, ...]
     crashes: tuple[tuple[float, Crash], ...]
     sky: tuple[SkySpan, ...]

@@ -62,6 +62,7 @@ class Scenario:
     receiver: Receiver = field(default_factory=Receiver)
     gnss_lever_arm_b_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     suspension: Suspension = field(default_factory=Suspension)
+    place: Place = MADRID
 
 
 SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
@@ -168,14 +169,19 @@ def simulate(
     """
     if scenario not in SCENARIOS:
         raise InvalidInputError(f"unknown scenario '{scenario}': expected one of {', '.join(SCENARIOS)}")
+    chosen = SCENARIOS[scenario]
+    length_s = chosen.duration_s if duration_s is None else duration_s
+    check_asked(seed, draw, length_s)
+    return perform(scenario, chosen, seed, length_s, rate_hz, draw)
+
+
+def check_asked(seed: int, draw: int, duration_s: float) -> None:
+    """Raise InvalidInputError for what no drive can be drawn from."""
     for name, value in (("seed", seed), ("draw", draw)):
         if value < 0:
             raise InvalidInputError(f"{name} is {value}: expected 0 or more")
-    chosen = SCENARIOS[scenario]
-    length_s = chosen.duration_s if duration_s is None else duration_s
-    if not SHORTEST_S <= length_s <= LONGEST_S:
-        raise InvalidInputError(f"a drive of {length_s:g} s: expected {SHORTEST_S:g} s to {LONGEST_S / 3600:g} h")
-    return perform(scenario, chosen, seed, length_s, rate_hz, draw)
+    if not SHORTEST_S <= duration_s <= LONGEST_S:
+        raise InvalidInputError(f"a drive of {duration_s:g} s: expected {SHORTEST_S:g} s to {LONGEST_S / 3600:g} h")
 
 
 def perform(
@@ -188,10 +194,10 @@ def perform(
     inertial_rng, slow_rng, air_rng = noise_rngs
     route = chosen.route(route_rng, length_s)
     errors = draw_errors(chosen.device, unit_rng)
-    trajectory = laid_over(drive(route, MADRID, rate_hz, chosen.suspension), route.disturbances)
+    trajectory = laid_over(drive(route, chosen.place, rate_hz, chosen.suspension), route.disturbances)
     f_s, omega_s = measure_inertial(trajectory, chosen.device, errors, inertial_rng)
     gnss_t_s, gnss = measure_gnss(trajectory, route.sky, chosen.receiver, chosen.gnss_lever_arm_b_m, slow_rng)
-    magnetic_t_s, magnetic = measure_magnetic(trajectory, MADRID.field_n_ut, chosen.device, errors, slow_rng)
+    magnetic_t_s, magnetic = measure_magnetic(trajectory, chosen.place.field_n_ut, chosen.device, errors, slow_rng)
     speed_t_s, speed = measure_wheel_speed(trajectory, chosen.device, errors)
     barometer_t_s, pressure_pa = measure_pressure(trajectory, chosen.device, errors, air_rng)
     return SimulatedDrive(

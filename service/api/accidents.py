@@ -1,30 +1,36 @@
-"""Accidents as GeoJSON: by place, time, severity and vehicle."""
+"""Accidents as GeoJSON: by place, time, kind, status, severity and vehicle."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, TypeVar
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from sqlalchemy import Connection
 
-from core.accident.events import Severity
+from core.accident.events import Kind, Severity
 from schemas import geojson
-from schemas.accidents import AccidentCollection, AccidentFeature
+from schemas.accidents import AccidentCollection, AccidentFeature, AccidentStatus
 from schemas.geojson import GEOJSON_MEDIA_TYPE
 from schemas.model import VehicleId
 from schemas.notifications import rfc3339
 from service.api.conditional import answer
 from service.api.dependencies import ID_PATTERN, Database
-from service.api.pagination import Page, encode_cursor, link_next
+from service.api.pagination import Page, PageRequest, encode_cursor, link_next
 from service.api.security import Principal, require
 from service.api.times import interval_ns
 from service.api.vehicles import MODES
 from service.errors import InvalidParameterError, NotFoundError
 from service.storage import accidents
-from service.storage.accidents import AccidentFilter, AccidentRow, Box
+from service.storage.accidents import SHOWN, AccidentFilter, AccidentRow
+from service.storage.candidates import CandidateRow
 from service.storage.database import read
+from service.storage.places import Box, WhereAndWhen
 
 router = APIRouter(tags=["accidents"])
+
+Row = TypeVar("Row", AccidentRow, CandidateRow)
 
 Reader = Annotated[Principal, Depends(require("accidents:read"))]
 BoundingBox = Annotated[
@@ -47,6 +53,10 @@ DateTime = Annotated[
 ]
 
 
+OfVehicle = Annotated[VehicleId | None, Query(description="Of this vehicle only.")]
+AccidentPath = Annotated[str, Path(pattern=ID_PATTERN, description="The accident's id.")]
+
+
 @router.get(
     "/accidents",
     responses={200: {"model": AccidentCollection, "content": {GEOJSON_MEDIA_TYPE: {}}}},
@@ -60,34 +70,24 @@ def list_accidents(
     bbox: BoundingBox = None,
     interval: DateTime = None,
     severity: Annotated[list[Severity] | None, Query(description="One severity or several.")] = None,
-    vehicle: Annotated[VehicleId | None, Query(description="Of this vehicle only.")] = None,
+    kind: Annotated[list[Kind] | None, Query(description="One kind or several.")] = None,
+    status: Annotated[
+        list[AccidentStatus] | None,
+        Query(description="One status or several; left out, suspected and confirmed: the others were none."),
+    ] = None,
+    vehicle: OfVehicle = None,
 ) -> Response:
     """Accidents where all that is asked for is met, newest first; within the box and the time, edges included."""
-    from_ns, to_ns = interval_ns("datetime", interval)
     wanted = AccidentFilter(
-        box=None if bbox is None else parse_bbox(bbox),
-        from_ns=from_ns,
-        to_ns=to_ns,
+        where=where_and_when(bbox, interval, vehicle),
         severities=None if severity is None else {each.value for each in severity},
-        vehicle_id=vehicle,
+        statuses=SHOWN if status is None else set(status),
+        kinds=None if kind is None else {each.value for each in kind},
     )
     after = page.after(int, str)
     with read(engine) as connection:
         rows = accidents.page(connection, caller.tenant_id, wanted, after=after, limit=page.limit + 1)
-    shown = rows[: page.limit]
-    next_cursor = encode_cursor(shown[-1].t_ns, shown[-1].id) if len(rows) > page.limit else None
-    headers = link_next(request, next_cursor)
-    links = []
-    if headers:
-        href = headers["Link"].partition(">")[0].removeprefix("<")
-        links = [{"rel": "next", "href": href, "type": GEOJSON_MEDIA_TYPE}]
-    body = {
-        "type": "FeatureCollection",
-        "features": [_feature(row) for row in shown],
-        "links": links,
-        "numberReturned": len(shown),
-    }
-    return answer(request, body, media_type=GEOJSON_MEDIA_TYPE, headers=headers)
+    return answer_features(request, page, rows, accident_feature)
 
 
 @router.get(
@@ -97,16 +97,48 @@ def list_accidents(
 )
 def get_accident(
     request: Request,
-    accident_id: Annotated[str, Path(pattern=ID_PATTERN, description="The accident's id.")],
+    accident_id: AccidentPath,
     caller: Reader,
     engine: Database,
 ) -> Response:
     """One accident."""
     with read(engine) as connection:
-        row = accidents.find(connection, caller.tenant_id, accident_id)
+        row = the_accident(connection, caller.tenant_id, accident_id)
+    return answer(request, accident_feature(row), media_type=GEOJSON_MEDIA_TYPE)
+
+
+def the_accident(connection: Connection, tenant_id: str, accident_id: str, *, to_change: bool = False) -> AccidentRow:
+    """The tenant's accident; raises NotFoundError for none, also where it is another tenant's."""
+    row = accidents.find(connection, tenant_id, accident_id, to_change=to_change)
     if row is None:
         raise NotFoundError(f"there is no accident '{accident_id}'; GET /v1/accidents lists them")
-    return answer(request, _feature(row), media_type=GEOJSON_MEDIA_TYPE)
+    return row
+
+
+def where_and_when(bbox: str | None, interval: str | None, vehicle: str | None) -> WhereAndWhen:
+    """What lists of things with a place and a time are asked; InvalidParameterError where it is no box or time."""
+    from_ns, to_ns = interval_ns("datetime", interval)
+    return WhereAndWhen(None if bbox is None else parse_bbox(bbox), from_ns, to_ns, vehicle)
+
+
+def answer_features(
+    request: Request, page: PageRequest, rows: Sequence[Row], feature: Callable[[Row], dict[str, Any]]
+) -> Response:
+    """A page of features; ``rows`` are one more than the page where there is a next one."""
+    shown = rows[: page.limit]
+    next_cursor = encode_cursor(shown[-1].t_ns, shown[-1].id) if len(rows) > page.limit else None
+    headers = link_next(request, next_cursor)
+    links = []
+    if headers:
+        href = headers["Link"].partition(">")[0].removeprefix("<")
+        links = [{"rel": "next", "href": href, "type": GEOJSON_MEDIA_TYPE}]
+    body = {
+        "type": "FeatureCollection",
+        "features": [feature(row) for row in shown],
+        "links": links,
+        "numberReturned": len(shown),
+    }
+    return answer(request, body, media_type=GEOJSON_MEDIA_TYPE, headers=headers)
 
 
 def parse_bbox(text: str) -> Box:
@@ -128,24 +160,32 @@ def parse_bbox(text: str) -> Box:
     return Box(west, south, east, north)
 
 
-def _feature(row: AccidentRow) -> dict[str, Any]:
-    properties = {
-        "vehicle_id": row.vehicle_id,
-        "trip_id": row.trip_id,
+def accident_feature(row: AccidentRow) -> dict[str, Any]:
+    """An accident as it is told."""
+    own = ("vehicle_id", "trip_id", "revision", "kind", "status", "verdict", "severity", "confidence", "street")
+    properties = (
+        {name: getattr(row, name) for name in own} | {"evidence": row.evidence} | placed(row) | dict(row.detail)
+    )
+    return geojson.feature(row.id, point_of(row), properties)
+
+
+def placed(row: Row) -> dict[str, Any]:
+    """What features say of their place, beside the point, and of their times."""
+    return {
         "time": rfc3339(row.t_ns),
         "decided_at": rfc3339(row.decided_t_ns),
         "received_at": rfc3339(row.received_ns),
         "stored_at": rfc3339(row.stored_ns),
-        "status": row.status,
-        "severity": row.severity,
-        "confidence": row.confidence,
         "sd_n_m": row.sd_n_m,
         "sd_e_m": row.sd_e_m,
         "cov_ne_m2": row.cov_ne_m2,
         "heading_deg": row.heading_deg,
         "mode": MODES[row.mode],
-        **row.detail,
     }
-    placed = row.lat_deg is not None and row.lon_deg is not None and row.alt_m is not None
-    place = geojson.point(row.lon_deg, row.lat_deg, row.alt_m) if placed else None
-    return geojson.feature(row.id, place, properties)
+
+
+def point_of(row: Row) -> dict[str, Any] | None:
+    """The point; None where a box never had a fix."""
+    if row.lat_deg is None or row.lon_deg is None or row.alt_m is None:
+        return None
+    return geojson.point(row.lon_deg, row.lat_deg, row.alt_m)

@@ -25,12 +25,13 @@ SCOPES: Final = {
     "vehicles:write": "register, change and remove vehicles",
     "positions:read": "places: state, track, ends of trips",
     "accidents:read": "accidents with their places",
+    "accidents:review": "say of an accident, or of what was taken for none, whether it was one",
     "scores:read": "scores",
     "webhooks:read": "webhook endpoints and deliveries",
     "webhooks:write": "make, change and remove webhook endpoints",
     "admin": "everything within the tenant",
 }
-"""Scopes that a key can hold. ``vehicles:*`` and ``webhooks:*`` stand for read and write of each."""
+"""Scopes that a key can hold. ``vehicles:*``, ``accidents:*`` and ``webhooks:*`` stand for all of each."""
 
 REVOCATION_DELAY_S: Final = 5.0
 """How long a key that was good is taken as good without asking the database; a device sends every second."""

@@ -27,7 +27,7 @@ from service.api.dependencies import Database, Directory, VehiclePath, the_vehic
 from service.api.pagination import Page, encode_cursor, link_next
 from service.api.security import Principal, require
 from service.calibrations import giving
-from service.storage import calibration_runs, retention, tenants, trips, vehicles
+from service.storage import audit, calibration_runs, retention, tenants, trips, vehicles
 from service.storage.calibrations import EVER_NS, NONE_GIVEN, NewCalibration
 from service.storage.database import read, write
 from service.storage.trips import TrackRow
@@ -108,12 +108,15 @@ def delete_vehicle(
     request: Request, vehicle_id: VehiclePath, caller: Writer, engine: Database, directory: Directory
 ) -> Response:
     """Remove a vehicle and everything that is stored about it: packets, track, trips, accidents, events,
-    calibrations and their recordings."""
+    evidence, calibrations and their recordings. That it was done stays in the audit."""
     with read(engine) as connection:
         row = the_vehicle(connection, caller.tenant_id, vehicle_id)
         run_ids = calibration_runs.ids_of(connection, row.ref.pk)
     retention.erase_history(engine, row.ref.pk)
-    directory.remove(caller.tenant_id, vehicle_id)
+    if directory.remove(caller.tenant_id, vehicle_id):
+        with write(engine) as connection:
+            subject = f"vehicle/{vehicle_id}"
+            audit.note(connection, caller.tenant_id, caller.key_id, "vehicle.erased", subject, time.time_ns())
     request.app.state.runtime.run_files.erase(run_ids)
     return Response(status_code=204)
 

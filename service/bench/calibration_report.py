@@ -77,6 +77,11 @@ def _gyroscope(found: Mapping[str, Any]) -> Iterable[str]:
         "least possible: Cramer-Rao, by the data sheet's white noise of the rates alone; a mean is sure to "
         f"{100.0 * sure:.0f} %"
     )
+    asked = ", ".join(f"{turns:.0f} for {name}" for name, turns in found["least_turns"].items())
+    yield (
+        "whole turns a move, at the full scale of 250 deg/s and all for one product, that table 3 would take at "
+        f"least: {asked}"
+    )
 
 
 def _recordings(found: Mapping[str, Any]) -> Iterable[str]:
@@ -94,13 +99,15 @@ def _recordings(found: Mapping[str, Any]) -> Iterable[str]:
 
 def _noise(found: Mapping[str, Any]) -> Iterable[str]:
     yield f"{calibration_noise.ADIS}: {found['duration_s']:.0f} s at rest; 95 % intervals in brackets:"
-    rows = [("axis", "random walk, deg/sqrt(h)", "floor, deg/h", "at, s", "floor, non-overlapping, deg/h")]
+    other = "floor, non-overlapping, deg/h"
+    rows = [("axis", "random walk, deg/sqrt(h)", "floor, deg/h", "at, s", "spans of that", other)]
     for name, one in found["axes"].items():
         at = "" if one["floor_tau_s"] is None else f"{one['floor_tau_s']:.0f}"
-        cells = _interval(one["random_walk"], 2), _interval(one["floor"], 1), at, f"{one['floor_non_overlapping']:.1f}"
-        rows.append((name, *cells))
+        spans = "" if one["floor_tau_s"] is None else f"{found['duration_s'] / one['floor_tau_s']:.0f}"
+        cells = _interval(one["random_walk"], 2), _interval(one["floor"], 1), at, spans
+        rows.append((name, *cells, f"{one['floor_non_overlapping']:.1f}"))
     floor = "not reached" if found["floor_rms"] is None else f"{found['floor_rms']:.1f}"
-    rows.append(("rms", f"{found['random_walk_rms']:.2f}", floor, "", ""))
+    rows.append(("rms", f"{found['random_walk_rms']:.2f}", floor, "", "", ""))
     yield from aligned(rows)
     low, high = calibration_noise.FLOOR
     yield (

@@ -34,8 +34,8 @@ SEED1_TABLE_3: Final = {
 }
 """Variances over five recordings, its last column; biases in rad/s. The products of misalignment are all printed as
 +-0.0000: the Earth's rate is a third of the noise, and the iteration left them where they started."""
-TURNED: Final = {"straight": "straight", "right_round": "right round"}
-"""From one position to the next the short way, or once more right round on the way."""
+TURNED: Final = {"straight": "straight", "twice_round": "twice right round about a level axis"}
+"""From one position to the next."""
 
 TARGETS: Final = (
     Target("published problems whose minimum the dog leg missed", "minimiser/dogleg_missed", 0, ""),

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -17,19 +17,22 @@ from service.bench import (
     accident_long,
     accident_report,
     accidents,
+    belief,
     calibration,
     calibration_report,
+    driving,
     kernel,
     load,
     navigation,
     navigation_report,
     report,
+    roads,
     stages,
 )
 from service.bench.fleet import record_drives
 from service.bench.target import Address
 from service.cli.ending import unwinding_on_sigterm
-from service.cli.progress import Progress
+from service.cli.progress import Phases, Progress
 from service.demo.service_process import ServiceProcess, free_port
 from service.errors import UsageError
 
@@ -60,6 +63,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument("--kernel", action="store_true", help="measure the navigation filter alone")
+    instead.add_argument("--belief", action="store_true", help="measure the fusion of beliefs alone")
     instead.add_argument(
         "--navigation",
         action="store_true",
@@ -77,6 +81,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="measure the accident engine instead: accidents found, placed and described, false alarms per 100 000 km,"
         " in simulation and on recordings; the paper's rule on the same input; beside what is asked of each",
+    )
+    instead.add_argument(
+        "--driving",
+        action="store_true",
+        help="measure the driving manoeuvres instead: what is found of those of labelled trips, and what beside them",
+    )
+    instead.add_argument(
+        "--roads",
+        type=Path,
+        metavar="ROADS",
+        help="measure road matching instead, by simulated drives on a folder that 'telefuse roads build' made",
     )
     parser.add_argument(
         "--km",
@@ -97,15 +112,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--recordings",
         type=Path,
         metavar="DIR",
-        help="with --calibration or --accidents: where its recordings are (default: ../shared/data beside the checkout;"
-        " the parts 'recordings' and 'noise' are left out where there are none)",
+        help="with --calibration, --accidents or --driving: where the recordings are (default: ../shared/data beside"
+        " the checkout; the parts 'recordings' and 'noise' are left out where there are none)",
     )
     parser.add_argument(
         "--drives",
-        type=Path,
-        metavar="DIR",
-        help="with --navigation or --accidents: where the recorded drives are (default: ../shared/drives beside the"
-        " checkout; the part 'real' is left out where there are none)",
+        metavar="DIR|N",
+        help=f"with --roads: how many drives (default {roads.DRIVES}); with --navigation or --accidents: where the"
+        " recorded drives are (default: ../shared/drives beside the checkout;"
+        " the part 'real' is left out where there are none)",
     )
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
     parser.add_argument(
@@ -123,33 +138,48 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure; 1 if a packet was lost or taken twice, or an alert did not come."""
-    if arguments.recordings is not None and not (arguments.calibration or arguments.accidents):
-        raise UsageError("--recordings is for --calibration and --accidents; expected one of these beside it")
+    if arguments.recordings is not None and not (arguments.calibration or arguments.accidents or arguments.driving):
+        raise UsageError("--recordings is for --calibration, --accidents and --driving; expected one of these")
     if arguments.km is not None and not arguments.accidents:
         raise UsageError("--km is for --accidents; expected --accidents beside it")
     if arguments.kernel:
         _print_kernel(as_json=arguments.json)
         return 0
+    if arguments.belief:
+        fused = belief.measure()
+        print(json.dumps(fused) if arguments.json else belief.lines(fused))
+        return 0
     if arguments.navigation:
-        with _Phases() as phases:
-            found = navigation.measure(arguments.part, arguments.drives, phases.tell)
+        with Phases() as phases:
+            found = navigation.measure(arguments.part, _folder(arguments.drives), phases.tell)
         print(json.dumps(found) if arguments.json else navigation_report.tables(found))
         return 0
+    if arguments.roads is not None:
+        count = _count(arguments.drives)
+        with Phases() as phases:
+            found = roads.measure(arguments.roads, count, phases.tell)
+        print(json.dumps(found) if arguments.json else roads.tables(found))
+        return 0
     if arguments.calibration:
-        with _Phases() as phases:
+        with Phases() as phases:
             found = calibration.measure(arguments.part, arguments.recordings, phases.tell)
         print(json.dumps(found) if arguments.json else calibration_report.tables(found))
         return 0
+    if arguments.driving:
+        with Phases() as phases:
+            found = driving.measure(arguments.recordings, partial(phases.tell, "labelled trips"))
+        print(json.dumps(found) if arguments.json else driving.tables(found))
+        return 0
     if arguments.accidents:
         km = accident_long.KM if arguments.km is None else arguments.km
-        with _Phases() as phases:
-            found = accidents.measure(arguments.part, km, arguments.recordings, arguments.drives, phases.tell)
+        with Phases() as phases:
+            found = accidents.measure(arguments.part, km, arguments.recordings, _folder(arguments.drives), phases.tell)
         print(json.dumps(found) if arguments.json else accident_report.tables(found))
         return 0
     _check(arguments)
     with unwinding_on_sigterm(), TemporaryDirectory(prefix="telefuse-bench-") as directory:
         drives = record_drives(arguments.rate)
-        with _service(arguments, Path(directory) / "service") as address, _Phases() as phases:
+        with _service(arguments, Path(directory) / "service") as address, Phases() as phases:
             loaded = load.measure(address, drives, arguments.vehicles, arguments.seconds, phases.tell)
         with Progress("stages", len(stages.STAGES)) as progress:
             measured = stages.measure(drives[0], Path(directory), progress.update)
@@ -161,6 +191,18 @@ def run(arguments: argparse.Namespace) -> int:
         sys.stderr.write(f"telefuse bench: {'; '.join(shortfalls)}\n")
         return FELL_SHORT
     return 0
+
+
+def _folder(drives: str | None) -> Path | None:
+    return None if drives is None else Path(drives)
+
+
+def _count(drives: str | None) -> int:
+    if drives is None:
+        return roads.DRIVES
+    if not drives.isdecimal():
+        raise UsageError(f"--drives {drives}: expected a number of drives with --roads")
+    return int(drives)
 
 
 @contextmanager
@@ -182,32 +224,6 @@ def _service(arguments: argparse.Namespace, data_dir: Path) -> Iterator[Address]
         yield Address(service.http_url, None if arguments.http else service.zenoh_endpoint)
     finally:
         service.stop()
-
-
-class _Phases:
-    """A bar for each part of the load test."""
-
-    def __init__(self) -> None:
-        self._name = ""
-        self._bar: Progress | None = None
-
-    def __enter__(self) -> _Phases:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._end()
-
-    def tell(self, name: str, done: float, total: float) -> None:
-        """Show how far the part called ``name`` is."""
-        if name != self._name:
-            self._end()
-            self._name, self._bar = name, Progress(name, math.ceil(total)).__enter__()
-        if self._bar is not None:
-            self._bar.update(int(done))
-
-    def _end(self) -> None:
-        if self._bar is not None:
-            self._bar.__exit__(None, None, None)
 
 
 def _print_kernel(*, as_json: bool) -> None:

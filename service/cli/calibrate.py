@@ -26,8 +26,17 @@ _LATITUDE: Final = (-90.0, 90.0)
 _HEIGHT_M: Final = (-500.0, 9000.0)
 
 
+PROTOCOL: Final = (
+    "How to record: let the box lie still for half a minute; then lay it into some twenty other positions, every side "
+    "up and on its edges between, 5 s each. From one to the next turn it twice right round about an axis that is "
+    "level, another one of the box's each time, slower than its full scale (of 250 degrees a second: 4 s a turn and "
+    "more): a gyroscope's scale has an eighth of the variance by it. Turning about an upright axis tells nothing."
+)
+
+
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
+    parser.epilog = PROTOCOL
     add_recording(parser)
     parser.add_argument(
         "--out", type=Path, metavar="CALIBRATION.json", help="write it, as 'fuse --calibration' and the service take it"

@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
             say.line(f"done in {result.seconds:.1f} s\n")
             print(json.dumps(report.figures(result)) if arguments.json else report.table(result, boxes), flush=True)
             if not arguments.exit:
-                say.line("\n" + report.addresses(service, boxes[0]) + "\n\nServing until Ctrl-C.")
+                say.line("\n" + report.addresses(service, boxes[0], result) + "\n\nServing until Ctrl-C.")
                 with suppress(KeyboardInterrupt):
                     service.wait()
         finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -60,6 +61,17 @@ def open_drive(arguments: argparse.Namespace, **switches: Any) -> tuple[Drive, S
             raise UsageError(f"{arguments.calibration}: {error}") from None
     noise = read_settings(arguments.noise, SensorNoise, "what 'telefuse noise --json' prints: SI units")
     return drive, fuse_config(vehicle_config(drive, noise), calibration, **switches)
+
+
+def check_outages(outages: Sequence[Outage], drive: Drive) -> None:
+    """Raise UsageError for an outage outside the drive."""
+    first_s, last_s = (float(t_s) for t_s in drive.t_s(drive.measurements.imu_t_ns[[0, -1]]))
+    for outage in outages:
+        span = f"outage {outage.start_s:g}:{outage.duration_s:g}"
+        if outage.start_s >= last_s:
+            raise UsageError(f"{span} begins after the drive's end at {last_s:g} s")
+        if outage.end_s <= first_s:
+            raise UsageError(f"{span} ends before the drive's first sample at {first_s:g} s")
 
 
 def read_with_progress(folder: Path) -> Drive:

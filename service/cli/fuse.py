@@ -15,7 +15,7 @@ import numpy as np
 from core.navigation.road_profile import SPACING_M
 from core.navigation.track import Track
 from service.cli.denoising import denoise_lines, denoise_with_progress
-from service.cli.drives import add_drive, fuse_ecef_with_progress, fuse_with_progress, open_drive
+from service.cli.drives import add_drive, check_outages, fuse_ecef_with_progress, fuse_with_progress, open_drive
 from service.cli.progress import Progress
 from service.errors import UsageError
 from service.recordings.drive_folder import Drive
@@ -103,12 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--report {report}: unknown file ending; expected .html")
     outages = [Outage.parse(text) for text in arguments.outage]
     drive, config = open_drive(arguments, non_holonomic=not arguments.no_nhc, zero_velocity=not arguments.no_zupt)
-    span_s = float(drive.measurements.imu_t_ns[-1] - drive.start_t_ns) * 1e-9
-    for outage in outages:
-        if outage.start_s >= span_s:
-            raise UsageError(
-                f"outage {outage.start_s:g}:{outage.duration_s:g} begins after the drive's end at {span_s:g} s"
-            )
+    check_outages(outages, drive)
     instants = mapping.instants(drive)
     run_filter: Callable[[Drive], Fused]
     if arguments.filter == "ecef":

@@ -26,7 +26,7 @@ from service.storage.tenants import DEFAULT_TENANT
 
 DAY_NS: Final = 86_400 * 1_000_000_000
 
-WILDCARDS: Final = ("vehicles:*", "webhooks:*")
+WILDCARDS: Final = ("vehicles:*", "accidents:*", "webhooks:*")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

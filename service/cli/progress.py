@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from types import TracebackType
@@ -41,3 +42,29 @@ class Progress:
         bar = "#" * filled + "." * (_WIDTH - filled)
         self._stream.write(f"\r\x1b[K{self._label} [{bar}] {done}/{self._total}")
         self._stream.flush()
+
+
+class Phases:
+    """A bar for each part of something long, one after the other."""
+
+    def __init__(self) -> None:
+        self._name = ""
+        self._bar: Progress | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def tell(self, name: str, done: float, total: float) -> None:
+        """Show how far the part called ``name`` is."""
+        if name != self._name:
+            self._end()
+            self._name, self._bar = name, Progress(name, math.ceil(total)).__enter__()
+        if self._bar is not None:
+            self._bar.update(int(done))
+
+    def _end(self) -> None:
+        if self._bar is not None:
+            self._bar.__exit__(None, None, None)

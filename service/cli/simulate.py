@@ -6,20 +6,31 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from core.simulation.faults import FAULTS
-from core.simulation.scenarios import SCENARIOS, simulate
+from core.simulation.scenarios import SCENARIOS, SimulatedDrive, simulate
 from service.errors import UsageError
 from service.recordings.drive_folder import is_drive_folder, write_drive
 from service.recordings.simulated import drive_of, parse_fault, with_faults
+from service.roads import extra
+
+DEFAULT: Final = "city"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the command's arguments."""
     parser.add_argument("out_dir", metavar="OUT_DIR", type=Path, nargs="?", help="drive folder to write")
-    parser.add_argument("--scenario", default="city", metavar="NAME", help="which drive (default city; see --list)")
+    parser.add_argument("--scenario", metavar="NAME", help=f"which drive (default {DEFAULT}; see --list)")
+    parser.add_argument(
+        "--roads",
+        type=Path,
+        metavar="ROADS",
+        help="drive on the streets of a folder that 'telefuse roads build' made, instead of a scenario, with two GNSS"
+        " outages of 60 s; the truth holds the way, class, limit and district of each second",
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the sensors' errors and random streets (default 1)")
     parser.add_argument("--duration", type=float, metavar="S", help="length in seconds (default: the scenario's own)")
     parser.add_argument(
@@ -48,9 +59,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{out}: is there and no drive folder; choose a new or an empty folder")
     progress = sys.stderr.isatty()
     if progress:
-        sys.stderr.write(f"simulating {arguments.scenario} …")
+        sys.stderr.write(f"simulating {arguments.scenario or DEFAULT} …")
         sys.stderr.flush()
-    simulated = simulate(arguments.scenario, arguments.seed, arguments.duration, arguments.rate)
+    simulated = _simulated(arguments)
     drive_s = float(simulated.trajectory.t_s[-1])
     if arguments.fault:
         simulated = with_faults(simulated, [parse_fault(text, drive_s) for text in arguments.fault])
@@ -92,6 +103,17 @@ def run(arguments: argparse.Namespace) -> int:
             f"{accident['delta_v_mps']:.1f} m/s from {accident['pdof_deg']:.0f} deg{clipped}"
         )
     return 0
+
+
+def _simulated(arguments: argparse.Namespace) -> SimulatedDrive:
+    if arguments.roads is None:
+        return simulate(arguments.scenario or DEFAULT, arguments.seed, arguments.duration, arguments.rate)
+    if arguments.scenario is not None:
+        raise UsageError("--roads and --scenario are two different drives; expected one of them")
+    extra.require()
+    from service.roads.simulated import simulate_on_roads
+
+    return simulate_on_roads(arguments.roads, arguments.seed, arguments.duration, arguments.rate)
 
 
 def _list(as_json: bool) -> None:

@@ -60,14 +60,16 @@ def table(result: Result, boxes: Sequence[Box]) -> str:
     return "\n\n".join([*sections, verdict])
 
 
-def addresses(service: ServiceProcess, box: Box) -> str:
+def addresses(service: ServiceProcess, box: Box, result: Result) -> str:
     """Where to look, and what to type."""
     url = service.http_url
+    found = [crash.found["id"] for crash in result.crashes if crash.found is not None]
     return "\n".join(
         [
             "Have a look",
             f"  {url}/docs                the interface",
             f"  curl {url}/v1/accidents",
+            *(f"  {url}/v1/accidents/{accident_id}/dossier  an accident on a page" for accident_id in found[:1]),
             f"  curl {url}/v1/vehicles/{box.vehicle_id}/state",
             f"  curl {url}/v1/vehicles/{box.vehicle_id}/trips",
             f"  curl {url}/v1/events",

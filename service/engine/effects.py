@@ -11,55 +11,40 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any, Final
-from uuid import UUID, uuid5
 
 import numpy as np
-from sqlalchemy import Connection, and_, not_, or_, select, update
+from sqlalchemy import Connection, and_, not_, or_, update
 
-from core.accident.placing import Accident
+from core.accident.placing import Accident, Suppressed
 from core.calibration.drift import BiasUpdate
 from core.driving.trips import Trip
 from core.navigation.track import TRACK, Mode, Track
 from core.navigation.tuning import Tuning
 from core.session import Outputs
 from schemas.calibration import Calibration
-from schemas.notifications import AccidentBody, CalibrationDriftBody, EventBody, EventType, TripBody
+from schemas.notifications import CalibrationDriftBody, EventBody, EventType, TripBody
+from service.accidents.rows import accident_row, candidate_row, degrees_or_none
+from service.accidents.telling import revision_event
 from service.engine import checkpoints
 from service.engine.checkpoints import Checkpoint
 from service.engine.sessions import learnt_calibration
 from service.ingest.journal_rows import JournalEntry
-from service.storage import calibrations
+from service.stable_ids import event_id, stable_id
+from service.storage import accidents, calibrations, candidates, evidence
 from service.storage.statements import insert_into
-from service.storage.tables import accidents, track_points, trips, vehicles
+from service.storage.tables import track_points, trips, vehicles
 from service.storage.vehicles import VehicleRef
 from service.webhooks import outbox
 from service.webhooks.outbox import NewEvent
 
 logger = logging.getLogger(__name__)
 
-NAMESPACE: Final = UUID("6f1d3b0e-52c4-5d8e-9a57-0f6c1f7c2b11")
-"""Ids of accidents, trips and events are UUIDv5 in this namespace; it must never change."""
-
 ROW_INTERVAL_NS: Final = round(Tuning().output_interval_s * 1e9)
 """Grid of the session's rows; see ``core.navigation.kernel``."""
-
-TRIP_LINK_NS: Final = 3600 * 1_000_000_000
-"""An accident belongs to the newest trip begun before it, unless that one came to its end longer ago than this."""
 
 _NEEDED: Final = [TRACK[name] for name in ("lat_rad", "lon_rad", "alt_m", "vn_mps", "ve_mps", "vd_mps")] + [
     TRACK[name] for name in ("sd_n_m", "sd_e_m", "sd_d_m", "cov_ne_m2")
 ]
-
-_REVISED: Final = [
-    column.name
-    for column in accidents.c
-    if column.name not in ("id", "tenant_id", "vehicle_pk", "trip_id", "t_ns", "status", "received_ns", "stored_ns")
-]
-
-
-def stable_id(ref: VehicleRef, t_ns: int, kind: str) -> str:
-    """The id of what happened to a vehicle at a time; the same whenever it is computed."""
-    return str(uuid5(NAMESPACE, f"{ref.tenant_id}/{ref.vehicle_id}/{t_ns}/{kind}"))
 
 
 class Effects:
@@ -70,6 +55,7 @@ class Effects:
         self.packets = 0
         self.counts: Counter[str] = Counter()
         self.accidents: list[tuple[Accident, int]] = []
+        self.suppressed: list[tuple[Suppressed, int]] = []
         self.biases: list[tuple[BiasUpdate, int]] = []
         self.checkpoint: Checkpoint | None = None
         self.latest: dict[str, Any] | None = None
@@ -87,6 +73,7 @@ class Effects:
         for trip in outputs.trips:
             self._trips[trip.start_t_ns] = (trip, packet.received_ns)
         self.biases += [(learnt, packet.received_ns) for learnt in outputs.biases]
+        self.suppressed += [(one, packet.received_ns) for one in outputs.suppressed]
         for accident in outputs.accidents:
             self.accidents.append((accident, packet.received_ns))
             if not math.isfinite(accident.place.lat_rad):
@@ -106,6 +93,9 @@ class Effects:
             connection.execute(points, self._track)
         for trip, _ in self._trips.values():
             self._store_trip(connection, trip)
+        for suppressed, received_ns in self.suppressed:
+            row = candidate_row(self.ref, suppressed, received_ns=received_ns, stored_ns=stored_ns)
+            candidates.put(connection, row)
         new = [self._store_accident(connection, *found, stored_ns) for found in self.accidents]
         new += [self._trip_completed(*ended) for ended in self._trips.values() if ended[0].ended]
         for learnt in self.biases:
@@ -151,7 +141,7 @@ class Effects:
             "lat_deg": math.degrees(value["lat_rad"]),
             "lon_deg": math.degrees(value["lon_rad"]),
             **{name: value[name] for name in ("alt_m", "vn_mps", "ve_mps", "vd_mps")},
-            **{f"{name}_deg": _degrees_or_none(value[f"{name}_rad"]) for name in ("roll", "pitch", "yaw", "sd_yaw")},
+            **{f"{name}_deg": degrees_or_none(value[f"{name}_rad"]) for name in ("roll", "pitch", "yaw", "sd_yaw")},
             **{name: value[name] for name in ("sd_n_m", "sd_e_m", "sd_d_m", "cov_ne_m2")},
             "gnss_used": value["gnss_used"] > 0,
             "mode": int(value["mode"]),
@@ -183,73 +173,11 @@ class Effects:
         )
 
     def _store_accident(self, connection: Connection, accident: Accident, received_ns: int, stored_ns: int) -> NewEvent:
-        impact = accident.impact
-        accident_id = stable_id(self.ref, impact.t_ns, "accident")
-        trip_id = connection.execute(
-            select(trips.c.id)
-            .where(
-                trips.c.vehicle_pk == self.ref.pk,
-                trips.c.start_ns <= impact.t_ns,
-                trips.c.end_ns >= impact.t_ns - TRIP_LINK_NS,
-            )
-            .order_by(trips.c.start_ns.desc())
-            .limit(1)
-        ).scalar_one_or_none()
-        shared: dict[str, Any] = {
-            "trip_id": trip_id,
-            "t_ns": impact.t_ns,
-            "status": "detected",
-            "severity": str(impact.severity),
-            "confidence": impact.confidence,
-            "lat_deg": _degrees_or_none(accident.place.lat_rad),
-            "lon_deg": _degrees_or_none(accident.place.lon_rad),
-            "alt_m": _finite_or_none(accident.place.alt_m),
-            "sd_n_m": _finite_or_none(accident.place.sd_n_m),
-            "sd_e_m": _finite_or_none(accident.place.sd_e_m),
-            "cov_ne_m2": _finite_or_none(accident.place.cov_ne_m2),
-            "heading_deg": _heading_deg(accident.place.heading_rad),
-        }
-        felt: dict[str, Any] = {
-            "detector": impact.detector,
-            "delta_v_mps": impact.delta_v_mps,
-            "delta_v_sd_mps": impact.delta_v_sd_mps,
-            "pdof_deg": impact.pdof_deg,
-            "peak_mps2": impact.peak_mps2,
-            "duration_s": impact.duration_s,
-            "clipped": impact.clipped,
-            "speed_before_mps": _finite_or_none(impact.speed_before_mps),
-            "paper_agrees": impact.paper_agrees,
-        }
-        insert = insert_into(connection, accidents).values(
-            id=accident_id,
-            tenant_id=self.ref.tenant_id,
-            vehicle_pk=self.ref.pk,
-            decided_t_ns=impact.decided_t_ns,
-            received_ns=received_ns,
-            stored_ns=stored_ns,
-            mode=int(accident.place.mode),
-            detail=felt | {"delta_v_b_mps": list(impact.delta_v_b_mps)},
-            **shared,
-        )
-        # Told again with a later, worse impact, it takes the place of what was known; never the other way round.
-        connection.execute(
-            insert.on_conflict_do_update(
-                index_elements=[accidents.c.id],
-                set_={name: insert.excluded[name] for name in _REVISED},
-                where=accidents.c.decided_t_ns < insert.excluded.decided_t_ns,
-            )
-        )
-        body = AccidentBody(
-            accident_id=accident_id,
-            vehicle_id=self.ref.vehicle_id,
-            mode=Mode(accident.place.mode).name.lower(),
-            **shared,
-            **felt,
-        )
-        if impact.revision == 0:
-            return self._event(EventType.ACCIDENT_DETECTED, accident_id, impact.t_ns, received_ns, body)
-        about = f"{accident_id}/{impact.revision}"
-        return self._event(EventType.ACCIDENT_UPDATED, about, impact.t_ns, received_ns, body)
+        trip_id = accidents.trip_at(connection, self.ref.pk, accident.impact.t_ns)
+        row = accident_row(self.ref, accident, trip_id=trip_id, received_ns=received_ns, stored_ns=stored_ns)
+        row = accidents.put(connection, row)
+        evidence.ask_for(connection, row, self.ref.config, stored_ns)
+        return revision_event(row, received_ns)
 
     def _trip_completed(self, trip: Trip, received_ns: int) -> NewEvent:
         body = TripBody(
@@ -295,7 +223,7 @@ class Effects:
 
     def _event(self, kind: EventType, about: str, t_ns: int, received_ns: int, body: EventBody) -> NewEvent:
         return NewEvent(
-            id=str(uuid5(NAMESPACE, f"{about}/{kind.value}")),
+            id=event_id(about, kind.value),
             tenant_id=self.ref.tenant_id,
             vehicle_pk=self.ref.pk,
             type=kind.value,
@@ -303,15 +231,3 @@ class Effects:
             received_ns=received_ns,
             body=body.model_dump(by_alias=True),
         )
-
-
-def _finite_or_none(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _degrees_or_none(angle_rad: float) -> float | None:
-    return math.degrees(angle_rad) if math.isfinite(angle_rad) else None
-
-
-def _heading_deg(yaw_rad: float) -> float | None:
-    return math.degrees(yaw_rad) % 360.0 if math.isfinite(yaw_rad) else None

@@ -12,7 +12,6 @@ from core.session import Outputs
 from schemas.packet import decode, measurements_from_packet
 from schemas.vehicles import VehicleConfig
 from service.engine.checkpoints import Checkpoint
-from service.engine.effects import Effects
 from service.ingest.journal_rows import JournalEntry
 from service.ingest.sequencing import Sequencer
 from service.storage.calibrations import GivenCalibration
@@ -30,6 +29,14 @@ class Fold(Protocol):
 
     def snapshot(self) -> bytes:
         """The whole state as bytes."""
+        ...
+
+
+class Taker(Protocol):
+    """What takes over outputs; ``service.engine.effects.Effects`` is the one that stores them."""
+
+    def add(self, outputs: Outputs, packet: JournalEntry) -> None:
+        """Take over what the session made of a packet."""
         ...
 
 
@@ -67,9 +74,10 @@ class Vehicle:
         self._saved_id = self.journal_id
         self._saved_ns = now_ns
         self._packet_ns: int | None = None
+        self._sample_ns = None if saved is None else saved.t_ns
         self._saved_packet_ns = 0
 
-    def fold(self, entries: Iterable[JournalEntry], load: Load, effects: Effects) -> None:
+    def fold(self, entries: Iterable[JournalEntry], load: Load, effects: Taker) -> None:
         """Offer journal rows and step the session with what comes out, adding to ``effects``.
 
         An exception leaves the session unusable; ``effects`` then holds what came before it.
@@ -90,9 +98,11 @@ class Vehicle:
                 self._step(at_hand.pop(journal_id), effects)
             self.journal_id = entry.journal_id
 
-    def _step(self, packet: JournalEntry, effects: Effects) -> None:
+    def _step(self, packet: JournalEntry, effects: Taker) -> None:
         if packet.payload:  # none where a refused packet only keeps its place in the sequence
-            effects.add(self._session.step(measurements_from_packet(decode(packet.payload))), packet)
+            measurements = measurements_from_packet(decode(packet.payload))
+            effects.add(self._session.step(measurements), packet)
+            self._sample_ns = int(measurements.imu_t_ns[-1]) if len(measurements.imu_t_ns) else packet.start_t_ns
             if self._packet_ns is None:
                 self._saved_packet_ns = packet.start_t_ns
             self._packet_ns = packet.start_t_ns
@@ -110,7 +120,7 @@ class Vehicle:
 
     def checkpoint(self) -> Checkpoint:
         """The state as of now."""
-        return Checkpoint(self.journal_id, self._sequencer.to_json(), self._session.snapshot())
+        return Checkpoint(self.journal_id, self._sequencer.to_json(), self._session.snapshot(), self._sample_ns)
 
     def mark_saved(self, checkpoint: Checkpoint, now_ns: int) -> None:
         """Note that a checkpoint is stored."""

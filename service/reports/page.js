@@ -115,7 +115,8 @@
     document.querySelectorAll("details").forEach((one) => (one.open = true));
     plots.forEach(draw);
     for (const plot of drawn) {
-      window.Plotly.relayout(plot, { ...colours(plot.layout, false), width: 680, autosize: false });
+      const width = plot.closest(".beside") ? 335 : 680;
+      window.Plotly.relayout(plot, { ...colours(plot.layout, false), width, autosize: false });
     }
   });
   window.addEventListener("afterprint", () => {

@@ -29,15 +29,16 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A heading with paragraphs and what follows them."""
+    """A heading with paragraphs and what follows them; ``beside`` in two columns where there is room, and in print."""
 
     title: str
     paragraphs: Sequence[str] = ()
     parts: Sequence[Table | Plot] = ()
+    beside: bool = False
 
 
-def page(title: str, sections: Sequence[Section]) -> str:
-    """The whole document. Every text is escaped here and nowhere else."""
+def page(title: str, sections: Sequence[Section], *, compact: bool = False) -> str:
+    """The whole document; ``compact`` prints small. Every text is escaped here and nowhere else."""
     scripts = [_plotly(), (_HERE / "page.js").read_text(encoding="utf-8")]
     allowed = " ".join(f"'sha256-{_sha256(script)}'" for script in scripts)
     policy = f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:"
@@ -55,7 +56,7 @@ def page(title: str, sections: Sequence[Section]) -> str:
 <style>
 {(_HERE / "page.css").read_text(encoding="utf-8")}</style>
 </head>
-<body>
+<body{' class="compact"' if compact else ""}>
 <a class="skip" href="#s0">Skip to the contents</a>
 <header><h1>{escape(title)}</h1><nav aria-label="Sections"><ul>{links}</ul></nav></header>
 <main>
@@ -72,8 +73,11 @@ def page(title: str, sections: Sequence[Section]) -> str:
 def _section(index: int, section: Section) -> str:
     lines = [f'<section id="s{index}" aria-labelledby="h{index}">', f'<h2 id="h{index}">{escape(section.title)}</h2>']
     lines += [f"<p>{escape(text)}</p>" for text in section.paragraphs]
-    for number, part in enumerate(section.parts):
-        lines.append(_table(part) if isinstance(part, Table) else _plot(part, f"p{index}-{number}"))
+    parts = [
+        _table(part) if isinstance(part, Table) else _plot(part, f"p{index}-{number}")
+        for number, part in enumerate(section.parts)
+    ]
+    lines += ['<div class="beside">', *(f"<div>{part}</div>" for part in parts), "</div>"] if section.beside else parts
     return "\n".join([*lines, "</section>"])
 
 

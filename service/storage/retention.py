@@ -10,12 +10,23 @@ from typing import Final
 from sqlalchemy import Column, ColumnElement, Connection, Engine, and_, delete, exists, func, not_, select, true
 
 from service.ingest.sequencing import Sequencer
-from service.storage import idempotency
+from service.storage import evidence, idempotency
 from service.storage.database import read, write
-from service.storage.tables import checkpoints, deliveries, events, idempotency_keys, journal, track_points
+from service.storage.tables import (
+    accident_candidates,
+    checkpoints,
+    deliveries,
+    events,
+    idempotency_keys,
+    journal,
+    track_points,
+)
 
 CHUNK: Final = 2_000
 """Rows a transaction: some 20 ms of the disk's time, in which no packet becomes durable."""
+
+FEW: Final = 20
+"""The same of rows that hold files of megabytes."""
 
 DAY_NS: Final = 24 * 3600 * 1_000_000_000
 
@@ -27,14 +38,26 @@ class Removed:
     packets: int
     track_points: int
     events: int
+    candidates: int
+    evidence: int
     idempotency_keys: int
 
 
-def prune(engine: Engine, now_ns: int, *, journal_days: int, track_days: int, events_days: int) -> Removed:
+def prune(
+    engine: Engine,
+    now_ns: int,
+    *,
+    journal_days: int,
+    track_days: int,
+    events_days: int,
+    candidates_days: int = 0,
+    evidence_days: int = 0,
+) -> Removed:
     """Remove what is older than so many days; 0 keeps for ever.
 
-    A packet stays while its vehicle's checkpoint does not stand beyond it or holds it back behind a gap; an
-    event stays while one of its webhooks is still to be sent. Accidents and trips stay.
+    A packet stays while its vehicle's checkpoint does not stand beyond it or holds it back behind a gap, or evidence
+    is to be built from it; an event stays while one of its webhooks is still to be sent, evidence while it is being
+    built. Accidents, their reviews and trips stay.
     """
     with read(engine) as connection:
         pks = list(connection.scalars(select(checkpoints.c.vehicle_pk)))
@@ -46,14 +69,20 @@ def prune(engine: Engine, now_ns: int, *, journal_days: int, track_days: int, ev
         if track_days:
             before_ns = now_ns - track_days * DAY_NS
             points += _in_chunks(engine, partial(_prune_track, vehicle_pk=pk, before_ns=before_ns))
-    gone = 0
+    gone = looked_at = proofs = 0
     if events_days:
         gone = _in_chunks(engine, partial(_prune_events, before_ns=now_ns - events_days * DAY_NS))
+    if candidates_days:
+        before_ns = now_ns - candidates_days * DAY_NS
+        looked_at = _in_chunks(engine, partial(_prune_candidates, before_ns=before_ns))
+    if evidence_days:
+        before_ns = now_ns - evidence_days * DAY_NS
+        proofs = _in_chunks(engine, partial(evidence.prune, before_ns=before_ns, limit=FEW), FEW)
     with write(engine) as connection:
         answers = connection.execute(
             delete(idempotency_keys).where(idempotency_keys.c.created_ns < now_ns - idempotency.KEPT_NS)
         ).rowcount
-    return Removed(packets, points, gone, answers)
+    return Removed(packets, points, gone, looked_at, proofs, answers)
 
 
 def erase_history(engine: Engine, vehicle_pk: int) -> None:
@@ -62,13 +91,13 @@ def erase_history(engine: Engine, vehicle_pk: int) -> None:
     _in_chunks(engine, partial(_prune_track, vehicle_pk=vehicle_pk, before_ns=None))
 
 
-def _in_chunks(engine: Engine, remove: Callable[[Connection], int]) -> int:
+def _in_chunks(engine: Engine, remove: Callable[[Connection], int], chunk: int = CHUNK) -> int:
     removed = 0
     while True:
         with write(engine) as connection:
             count = remove(connection)
         removed += count
-        if count < CHUNK:
+        if count < chunk:
             return removed
 
 
@@ -79,7 +108,7 @@ def _prune_journal(connection: Connection, vehicle_pk: int, before_ns: int | Non
         row = connection.execute(
             select(checkpoints.c.journal_id, checkpoints.c.sequencer).where(checkpoints.c.vehicle_pk == vehicle_pk)
         ).one_or_none()
-        if row is None:
+        if row is None or evidence.is_open(connection, vehicle_pk):
             return 0
         # The last one stays too, so that the vehicle still shows when its box last spoke.
         keep_from = min([row.journal_id, *Sequencer.from_json(row.sequencer).pending_ids()])
@@ -90,6 +119,12 @@ def _prune_journal(connection: Connection, vehicle_pk: int, before_ns: int | Non
 def _prune_events(connection: Connection, before_ns: int) -> int:
     unsent = exists().where(deliveries.c.event_id == events.c.id, deliveries.c.status == "pending")
     return _delete_first(connection, events.c.cursor, not_(unsent), events.c.stored_ns < before_ns)
+
+
+def _prune_candidates(connection: Connection, before_ns: int) -> int:
+    table = accident_candidates
+    old = select(table.c.id).where(table.c.stored_ns < before_ns).order_by(table.c.stored_ns).limit(CHUNK)
+    return connection.execute(delete(table).where(table.c.id.in_(old))).rowcount
 
 
 def _delete_first(

@@ -136,11 +136,27 @@ checkpoints = Table(
         "vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), primary_key=True, autoincrement=False
     ),
     Column("journal_id", BigInteger, nullable=False),
+    Column("t_ns", BigInteger),
     Column("sequencer", JSON, nullable=False),
     Column("session", LargeBinary, nullable=False),
     Column("stored_ns", BigInteger, nullable=False),
 )
-"""State of a vehicle after every journal row up to ``journal_id``; recovery goes on from there."""
+"""State of a vehicle after every journal row up to ``journal_id``; recovery goes on from there. ``t_ns`` is its newest
+sample's, by the box's clock; null before the first."""
+
+older_checkpoints = Table(
+    "older_checkpoints",
+    metadata,
+    Column(
+        "vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), primary_key=True, autoincrement=False
+    ),
+    Column("journal_id", BigInteger, primary_key=True, autoincrement=False),
+    Column("t_ns", BigInteger, nullable=False),
+    Column("sequencer", JSON, nullable=False),
+    Column("session", LargeBinary, nullable=False),
+    Column("stored_ns", BigInteger, nullable=False),
+)
+"""A few earlier checkpoints of a vehicle, from which the minute before an accident can be replayed."""
 
 track_points = Table(
     "track_points",
@@ -198,9 +214,13 @@ accidents = Table(
     Column("decided_t_ns", BigInteger, nullable=False),
     Column("received_ns", BigInteger, nullable=False),
     Column("stored_ns", BigInteger, nullable=False),
+    Column("revision", Integer, nullable=False),
+    Column("kind", String(16), nullable=False),
     Column("status", String(16), nullable=False),
+    Column("verdict", String(16)),
     Column("severity", String(16), nullable=False),
     Column("confidence", Float(53), nullable=False),
+    Column("street", String(300)),
     Column("lat_deg", Float(53)),
     Column("lon_deg", Float(53)),
     Column("alt_m", Float(53)),
@@ -214,7 +234,90 @@ accidents = Table(
     Index("ix_accidents_vehicle_pk_t_ns", "vehicle_pk", "t_ns"),
 )
 """The place is null where a box never had a fix. ``detail`` holds the impact's own figures (Δv, direction, peak, ...)
-by their names."""
+by their names. ``status`` is suspected, confirmed or retracted as the detector says, or confirmed or false as a
+reviewer said last (``verdict``); that stands, whatever the detector says later."""
+
+accident_candidates = Table(
+    "accident_candidates",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), nullable=False),
+    Column("vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), nullable=False),
+    Column("t_ns", BigInteger, nullable=False),
+    Column("decided_t_ns", BigInteger, nullable=False),
+    Column("received_ns", BigInteger, nullable=False),
+    Column("stored_ns", BigInteger, nullable=False),
+    Column("reason", String(32), nullable=False),
+    Column("probability", Float(53), nullable=False),
+    Column("verdict", String(16)),
+    Column("lat_deg", Float(53)),
+    Column("lon_deg", Float(53)),
+    Column("alt_m", Float(53)),
+    Column("sd_n_m", Float(53)),
+    Column("sd_e_m", Float(53)),
+    Column("cov_ne_m2", Float(53)),
+    Column("heading_deg", Float(53)),
+    Column("mode", SmallInteger, nullable=False),
+    Column("detail", JSON, nullable=False),
+    Index("ix_accident_candidates_tenant_id_t_ns", "tenant_id", "t_ns"),
+    Index("ix_accident_candidates_vehicle_pk_t_ns", "vehicle_pk", "t_ns"),
+    Index("ix_accident_candidates_stored_ns", "stored_ns"),
+)
+"""What felt like an accident and was judged to be none; ``verdict`` is what a reviewer said last."""
+
+evidence = Table(
+    "evidence",
+    metadata,
+    Column("accident_id", String(36), ForeignKey("accidents.id", ondelete="CASCADE"), primary_key=True),
+    Column("vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), nullable=False, index=True),
+    Column("t_ns", BigInteger, nullable=False),
+    Column("status", String(16), nullable=False),
+    Column("anchor_journal_id", BigInteger),
+    Column("config", JSON, nullable=False),
+    Column("created_ns", BigInteger, nullable=False),
+    Column("built_ns", BigInteger),
+    Column("reason", String(500)),
+    Column("sha256", String(64)),
+    Column("bundle", LargeBinary),
+    Index("ix_evidence_status", "status"),
+)
+"""``status`` is pending, partial (what there was when the vehicle fell silent; looked at again for a while), complete,
+final (partial for good) or failed (``reason`` says why). ``anchor_journal_id`` names the older checkpoint to replay
+from, null for none. ``config`` are the vehicle's settings of then. ``bundle`` is one file, ``sha256`` over what it
+holds."""
+
+reviews = Table(
+    "reviews",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), nullable=False),
+    Column("vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), nullable=False, index=True),
+    Column("subject_id", String(36), nullable=False),
+    Column("verdict", String(16), nullable=False),
+    Column("note", String(4000), nullable=False),
+    Column("reviewer", String(32)),
+    Column("before", String(32), nullable=False),
+    Column("after", String(32), nullable=False),
+    Column("created_ns", BigInteger, nullable=False),
+    Index("ix_reviews_subject_id_created_ns", "subject_id", "created_ns"),
+)
+"""What people said of accidents and candidates (``subject_id``); ``reviewer`` is the id of the API key, null while
+auth is off; ``before`` and ``after`` are the subject's status."""
+
+audit = Table(
+    "audit",
+    metadata,
+    Column("id", RowId, primary_key=True, autoincrement=True),
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), nullable=False),
+    Column("t_ns", BigInteger, nullable=False),
+    Column("actor", String(32)),
+    Column("action", String(64), nullable=False),
+    Column("subject", String(200), nullable=False),
+    Column("detail", JSON, nullable=False),
+    Index("ix_audit_tenant_id_id", "tenant_id", "id"),
+    sqlite_autoincrement=True,
+)
+"""Who did what to what: kept when the subject is erased, so nothing personal goes into ``detail``."""
 
 events = Table(
     "events",

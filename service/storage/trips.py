@@ -102,6 +102,17 @@ def newest_position(connection: Connection, vehicle_pk: int) -> TrackRow | None:
     return None if row is None else TrackRow(*row)
 
 
+def position_before(connection: Connection, vehicle_pk: int, t_ns: int, within_ns: int) -> TrackRow | None:
+    """Where the vehicle was at a time or shortly before."""
+    row = connection.execute(
+        select(*_TRACK_COLUMNS)
+        .where(track_points.c.vehicle_pk == vehicle_pk, track_points.c.t_ns.between(t_ns - within_ns, t_ns))
+        .order_by(track_points.c.t_ns.desc())
+        .limit(1)
+    ).one_or_none()
+    return None if row is None else TrackRow(*row)
+
+
 _TRACK_COLUMNS = [track_points.c[name] for name in TrackRow.__slots__]
 
 

@@ -142,7 +142,7 @@ def test_everything_that_is_copied_exists_and_reaches_the_build() -> None:
 
 @pytest.mark.parametrize("name", ["runtime.txt", "build.txt"])
 def test_the_image_has_the_versions_that_the_tests_run_with(name: str) -> None:
-    tested, shipped = pins("lock.txt"), pins(name)
+    tested, shipped = pins("lock.txt") | pins("roads.txt"), pins(name)
     assert shipped
     assert all(hashes for _, hashes in shipped.values())
     assert {package: tested.get(package) for package in shipped} == shipped, "make lock"
@@ -156,7 +156,8 @@ def test_the_image_has_what_the_project_needs_and_no_tools_for_development() -> 
         return {re.split(r"[<>=\[;! ]", requirement)[0].lower() for requirement in requirements}
 
     shipped = set(pins("runtime.txt"))
-    needed = names(project["project"]["dependencies"] + project["project"]["optional-dependencies"]["parquet"])
+    extras = project["project"]["optional-dependencies"]
+    needed = names(project["project"]["dependencies"] + extras["parquet"] + extras["roads"])
     assert needed <= shipped, "make lock"
     # filterpy brings matplotlib along, which the tests' own list names too
     assert not {"pytest", "mypy", "ruff", "hypothesis", "schemathesis", "import-linter", "setuptools"} & shipped

@@ -18,11 +18,13 @@ from schemathesis.specs.openapi.checks import (
 from sqlalchemy import insert
 
 from service.app import create_app
+from service.evidence.bundle import to_bytes
 from service.settings import Settings
 from service.storage import tables
 from service.storage.database import write
 from tests.conftest import run_service
-from tests.service.stored_rows import accident_row, point_row, trip_row
+from tests.evidence_inputs import small_bundle
+from tests.service.stored_rows import T0, accident_row, candidate_row, point_row, trip_row
 
 CHECKS = [
     not_a_server_error,
@@ -69,7 +71,13 @@ def fuzzed(tmp_path_factory):
         with write(running.database) as connection:
             connection.execute(insert(tables.trips), [trip_row(pk, 0, 2, id="trip")])
             connection.execute(insert(tables.track_points), [point_row(pk, second) for second in range(3)])
-            connection.execute(insert(tables.accidents), [accident_row("default", pk, 1) | {"id": "accident"}])
+            connection.execute(insert(tables.accidents), [accident_row("default", pk, 1, id="accident")])
+            candidate = candidate_row("default", pk, 2, id="candidate")
+            connection.execute(insert(tables.accident_candidates), [candidate])
+            bundle = small_bundle("accident", "car", T0)
+            proof = {"accident_id": "accident", "vehicle_pk": pk, "t_ns": T0, "config": {}, "created_ns": T0}
+            built = {"status": "complete", "sha256": bundle.sha256, "bundle": to_bytes(bundle)}
+            connection.execute(insert(tables.evidence), [proof | built])
         schema = schemathesis.openapi.from_dict(without_keys(DOCUMENT))
         schema.config.base_url = running.url
         yield schema
@@ -105,6 +113,16 @@ def test_every_answer_is_one_that_the_document_promises(fuzzed, method, path, mo
         ("/v1/trips/{trip_id}/track", {"trip_id": "trip"}),
         ("/v1/accidents", {}),
         ("/v1/accidents/{accident_id}", {"accident_id": "accident"}),
+        ("/v1/accidents/{accident_id}/trace", {"accident_id": "accident"}),
+        ("/v1/accidents/{accident_id}/edr", {"accident_id": "accident"}),
+        ("/v1/accidents/{accident_id}/msd", {"accident_id": "accident"}),
+        ("/v1/accidents/{accident_id}/dossier", {"accident_id": "accident"}),
+        ("/v1/accidents/{accident_id}/evidence", {"accident_id": "accident"}),
+        ("/v1/accidents/{accident_id}/reviews", {"accident_id": "accident"}),
+        ("/v1/accident-candidates", {}),
+        ("/v1/accident-candidates/{candidate_id}", {"candidate_id": "candidate"}),
+        ("/v1/accident-candidates/{candidate_id}/reviews", {"candidate_id": "candidate"}),
+        ("/v1/audit", {}),
     ],
 )
 def test_what_is_there_is_answered_as_the_document_promises(fuzzed, path, names):

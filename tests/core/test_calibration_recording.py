@@ -16,6 +16,7 @@ from core.simulation.calibration_recording import (
     rotations,
     simulate_recording,
     spread_orientations,
+    tipped,
 )
 from core.simulation.sensors import TriadErrors
 
@@ -48,6 +49,21 @@ def test_rates_lead_from_each_position_to_the_next() -> None:
     for at, expected in zip(made.starts, made.C_n_from_a, strict=True):
         # The Earth turns 2e-3 rad in these 25 s; trapezoids at 500 Hz add 1e-4.
         assert np.abs(reached[at] - expected).max() < 3e-3
+
+
+def test_a_box_that_is_tipped_goes_right_round_about_level_axes() -> None:
+    orientations = tipped(spread_orientations(8, np.random.default_rng(5)))
+    handling = Handling(full_turns=2, wobble_rad=0.0, tremor_rad=0.0)
+    made = quiet_recording(rate_hz=400.0, orientations=orientations, handling=handling)
+    assert made.recording.gyroscope is not None
+    up = -orientations[:, 2]
+    assert up == pytest.approx(-spread_orientations(8, np.random.default_rng(5))[:, 2], abs=1e-12)
+    for i, (end, start) in enumerate(zip(made.ends[:-1], made.starts[1:], strict=True)):
+        turned = made.recording.gyroscope[end - 1 : start + 1].sum(axis=0) / 400.0
+        between = np.arccos(up[i] @ up[i + 1])
+        # The Earth adds 1e-3 rad in a move, the converter's step of 0.003 rad/s averages out.
+        assert np.linalg.norm(turned) == pytest.approx(4.0 * np.pi + between, abs=5e-3)
+        assert turned @ up[i] == pytest.approx(0.0, abs=5e-3)
 
 
 def test_a_box_at_rest_feels_gravity_and_the_earth_alone() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.road_map import write_map
 from tests.service.webhook_harness import Clock, Outbox
 from tests.service.webhook_receiver import WebhookReceiver
 
@@ -32,3 +33,21 @@ def receiver():
     """A receiver of webhooks on loopback."""
     with WebhookReceiver() as receiver:
         yield receiver
+
+
+@pytest.fixture(scope="session")
+def map_file(tmp_path_factory):
+    """The invented map as an extract."""
+    for package in ("osmium", "shapely", "valhalla"):
+        pytest.importorskip(package, reason="the extra 'roads' is not installed")
+    return write_map(tmp_path_factory.mktemp("map") / "nowhere.osm.pbf")
+
+
+@pytest.fixture(scope="session")
+def built_roads(map_file):
+    """The invented map, built."""
+    from service.roads.build import build
+
+    out = map_file.parent / "roads"
+    build(map_file, out, lambda *_: None)
+    return out

@@ -50,7 +50,7 @@ def point_row(pk, second, lat_deg=57.7, lon_deg=11.97, **changes):
     return row | changes
 
 
-def accident_row(tenant, pk, second, lat_deg=57.7, lon_deg=11.97, severity="severe"):
+def accident_row(tenant, pk, second, lat_deg=57.7, lon_deg=11.97, severity="severe", **changes):
     t_ns = T0 + second * NS
     return {
         "id": str(uuid4()),
@@ -60,7 +60,9 @@ def accident_row(tenant, pk, second, lat_deg=57.7, lon_deg=11.97, severity="seve
         "decided_t_ns": t_ns + NS // 2,
         "received_ns": t_ns + NS,
         "stored_ns": t_ns + NS,
-        "status": "detected",
+        "revision": 1,
+        "kind": "collision",
+        "status": "confirmed",
         "severity": severity,
         "confidence": 0.98,
         "lat_deg": lat_deg,
@@ -75,12 +77,49 @@ def accident_row(tenant, pk, second, lat_deg=57.7, lon_deg=11.97, severity="seve
             "detector": "telefuse",
             "delta_v_mps": 9.0,
             "delta_v_sd_mps": 0.6,
+            "delta_v_interval_mps": [7.8, 10.2],
             "delta_v_b_mps": [-9.0, 0.4],
             "pdof_deg": 2.5,
+            "pdof_sd_deg": 4.0,
             "peak_mps2": 180.0,
             "duration_s": 0.11,
             "clipped": False,
             "speed_before_mps": 14.0,
+            "impacts": 1,
+            "rollover": False,
+            "injury": {"probability": 0.02, "low": 0.005, "high": 0.08, "source": "made up"},
+            "reasons": ["stood still afterwards"],
             "paper_agrees": True,
         },
-    }
+    } | changes
+
+
+def candidate_row(tenant, pk, second, lat_deg=57.7, lon_deg=11.97, reason="pothole", **changes):
+    t_ns = T0 + second * NS
+    return {
+        "id": str(uuid4()),
+        "tenant_id": tenant,
+        "vehicle_pk": pk,
+        "t_ns": t_ns,
+        "decided_t_ns": t_ns + NS // 2,
+        "received_ns": t_ns + NS,
+        "stored_ns": t_ns + NS,
+        "reason": reason,
+        "probability": 0.07,
+        "lat_deg": lat_deg,
+        "lon_deg": lon_deg,
+        "alt_m": 40.0,
+        "sd_n_m": 1.5,
+        "sd_e_m": 1.0,
+        "cov_ne_m2": 0.2,
+        "heading_deg": 53.1,
+        "mode": 1,
+        "detail": {
+            "delta_v_mps": 1.6,
+            "vertical_mps": 0.9,
+            "peak_mps2": 31.0,
+            "duration_s": 0.06,
+            "speed_before_mps": 12.0,
+            "paper_agrees": True,
+        },
+    } | changes

@@ -12,6 +12,10 @@ import pytest
 
 from core.calibration.fit import PARAMETERS
 from core.calibration.gyroscope import GYROSCOPE_PARAMETERS
+from core.calibration.gyroscope_problem import across
+from core.calibration.turns import integrate
+from core.rotation import skew
+from core.simulation.sensors import GYROSCOPE
 from service.bench import calibration, calibration_gyroscope, calibration_noise, calibration_recordings, minimiser
 from service.bench.calibration_report import tables
 from service.bench.calibration_targets import SEED1_TABLE_2, SEED1_TABLE_3, TARGETS
@@ -37,24 +41,40 @@ def test_units_and_repetitions_are_told_by_parameter():
     assert all(target in told for target in ("bias_z outside 3 sd", "variance of SFx My"))
 
 
-MISALIGNMENT = ("-SFx Mz", "SFx My", "-SFy Mx")  # of table 3: below what the rates' white noise allows any estimator
-
-
 def test_the_gyroscope_is_told_by_parameter_and_what_is_out_of_reach_is_said():
     units = calibration_gyroscope.against_truth(untold, 2)
     repeated = calibration_gyroscope.repeated(untold, 1)
     assert list(units["outside_3_sd"]) == list(GYROSCOPE_PARAMETERS)
-    assert list(repeated["variances"]) == ["straight", "right_round"]
+    assert list(repeated["variances"]) == ["straight", "twice_round"]
     for variances in repeated["variances"].values():
         assert list(variances) == list(SEED1_TABLE_3)
         beyond = {name for name, one in variances.items() if one["cramer_rao"] and one["cramer_rao"] > one["seed1"]}
-        assert beyond >= set(MISALIGNMENT)
-    found = {"gyroscope": {"units": units, "repeated": repeated}}
+        assert beyond >= set(calibration_gyroscope.MISALIGNMENT_PRODUCTS)
+    least = {"-SFy Mx": calibration_gyroscope.least_turns(1.28e-11)}
+    found = {"gyroscope": {"units": units, "repeated": repeated, "least_turns": least}}
     rows = judged(found, TARGETS)
     assert len(rows) == sum(target.figure.startswith("gyroscope/") for target in TARGETS)
     told = tables(found | {"targets": rows})
     assert "the gyroscope turned straight; variances over 5 recordings" in told
-    assert told.count("out of reach") >= 2 * len(MISALIGNMENT)
+    assert told.count("out of reach") >= 2 * len(calibration_gyroscope.MISALIGNMENT_PRODUCTS)
+
+
+def test_no_turn_tells_misalignment_better_than_the_least_that_is_stated():
+    # The products of a triad, by turns at the full scale about the axis between two of the box's own that is level.
+    limit, w = 2.28e-10, GYROSCOPE.full_scale
+    angle = 2.0 * np.pi * calibration_gyroscope.least_turns(limit)
+    t_s = np.linspace(0.0, angle / w, 4001)
+    axis = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
+    noise = np.full(3, GYROSCOPE.random_walk)
+    ends = np.array([0]), np.array([t_s.size - 1])
+    turns = integrate(t_s, np.tile(w * axis, (t_s.size, 1)), *ends, np.eye(3), np.zeros((1, 3)), noise)
+    up = turns.C_a_from_e[0].T @ np.array([0.0, 0.0, 1.0])
+    lever = across(up).T @ skew(up)
+    row = lever @ turns.by_inverse[0][:, 0, 1]
+    told = row @ np.linalg.solve(lever @ turns.covariance[0] @ lever.T, row)
+    best = 1.0 / ((calibration_gyroscope.POSITIONS - 1) * told)
+    # A turn that is not whole adds what does not grow with its angle, at most 2 rad of 24.
+    assert best == pytest.approx(limit, rel=0.2)
 
 
 def test_the_noise_of_a_real_gyroscope_is_what_was_found_of_it_before():
@@ -110,7 +130,7 @@ def test_the_accelerometer_is_among_the_problems_and_all_minimisers_find_it():
         ),
         (["--calibration", "--recordings", "/nowhere"], "no 'calib_xsens_imu_tk'"),
         (["--calibration", "--part", "noise", "--recordings", "/nowhere"], "no 'static_adis16405_2h8'"),
-        (["--recordings", "/nowhere"], "--recordings is for --calibration"),
+        (["--recordings", "/nowhere"], "--recordings is for --calibration, --accidents and --driving"),
     ],
 )
 def test_what_it_cannot_do_is_one_line(arguments, message, capsys):

@@ -14,8 +14,8 @@ import pytest
 from sqlalchemy import Engine as Database
 from sqlalchemy import select, text
 
-from core.accident.events import Impact, Severity
-from core.accident.placing import Accident, Place
+from core.accident.events import Candidate, Impact, NoAccident, Severity, Status
+from core.accident.placing import Accident, Place, Suppressed
 from core.driving.trips import Trip
 from core.errors import SnapshotError
 from core.measurements import Measurements
@@ -29,13 +29,27 @@ from service.ingest.journal_rows import JournalEntry, insert_rows
 from service.observability import Metrics
 from service.storage import schema
 from service.storage.database import open_database, read, write
-from service.storage.tables import accidents, checkpoints, deliveries, events, track_points, trips, webhook_endpoints
+from service.storage.tables import (
+    accident_candidates,
+    accidents,
+    checkpoints,
+    deliveries,
+    events,
+    evidence,
+    older_checkpoints,
+    track_points,
+    trips,
+    webhook_endpoints,
+)
 from service.storage.vehicles import VehicleDirectory, VehicleRef
 
 START_NS = 1_750_000_000_000_000_000
 SECOND_NS = 1_000_000_000
 CRASH_MPS2 = 100.0
 WORSE_MPS2 = 150.0
+NOTHING_MPS2 = 160.0
+POTHOLE_MPS2 = 30.0
+AT_ONCE_MPS2 = 170.0
 POISON_MPS2 = 666.0
 WAIT_S = 20.0
 
@@ -66,14 +80,31 @@ class SummingFold:
         rows[:, TRACK["yaw_rad"]] = np.nan
         rows[:, TRACK["mode"]] = Mode.AIDED
         crash: tuple[Accident, ...] = ()
-        if abs(value - CRASH_MPS2) < 0.5:
+        suppressed: tuple[Suppressed, ...] = ()
+        if abs(value - POTHOLE_MPS2) < 0.5:
+            suppressed = (self._pothole(t_ns),)
+        elif abs(value - NOTHING_MPS2) < 0.5:
+            crash = (self._crash(self.crashed, 2, Status.RETRACTED),)
+        elif abs(value - AT_ONCE_MPS2) < 0.5:
+            crash, self.crashed = tuple(self._crash(t_ns, n, Status.CONFIRMED) for n in range(3)), t_ns
+        elif abs(value - CRASH_MPS2) < 0.5:
             crash, self.crashed = (self._crash(t_ns, 0),), t_ns
         elif abs(value - WORSE_MPS2) < 0.5:
             crash = (self._crash(self.crashed, 1),)
         trip = Trip(self.start, t_ns, 0.0, 0.0, 0.0, 0.0, self.sum, 1.0, 0.0, 1.0, ended=self.packets == 12)
-        return Outputs(Track(grid, rows), crash, (trip,), {"gnss_position.rejected_gate": 1, "gnss_position.fused": 2})
+        counts = {"gnss_position.rejected_gate": 1, "gnss_position.fused": 2}
+        return Outputs(Track(grid, rows), crash, (trip,), counts, suppressed=suppressed)
 
-    def _crash(self, t_ns: int, revision: int) -> Accident:
+    def _place(self) -> Place:
+        return Place(1e-6 * self.sum, 0.0, 5.0, 1.0, 2.0, 0.1, np.nan, Mode.COASTING)
+
+    def _pothole(self, t_ns: int) -> Suppressed:
+        shock = Candidate(
+            t_ns, t_ns + SECOND_NS, NoAccident.POTHOLE, 0.04, 1.5, np.nan, 31.0, 0.05, 12.0, paper_agrees=True
+        )
+        return Suppressed(shock, self._place())
+
+    def _crash(self, t_ns: int, revision: int, status: Status = Status.SUSPECTED) -> Accident:
         impact = Impact(
             t_ns,
             t_ns + (1 + revision) * SECOND_NS,
@@ -90,8 +121,10 @@ class SummingFold:
             np.nan,
             False,
             revision,
+            status=status,
+            delta_v_interval_mps=(7.0, np.inf),
         )
-        return Accident(impact, Place(1e-6 * self.sum, 0.0, 5.0, 1.0, 2.0, 0.1, np.nan, Mode.COASTING))
+        return Accident(impact, self._place())
 
 
 class Bench:
@@ -149,7 +182,7 @@ class Bench:
                         )
                     )
                 ]
-                for table in (track_points, trips, accidents)
+                for table in (track_points, trips, accidents, accident_candidates)
             } | {"events": sorted(map(tuple, connection.execute(select(events.c.id, events.c.type, events.c.t_ns))))}
 
 
@@ -254,6 +287,98 @@ def test_an_accident_that_turns_out_worse_is_told_again_and_keeps_its_place(benc
     assert [event["type"] for _, event in bench.told].count("accident.detected") == 1
     updates = [event for _, event in bench.told if event["type"] == "accident.updated"]
     assert [update["data"]["accident_id"] for update in updates] == [accident[0]]
+
+
+def row_of(bench: Bench, table: Any, *names: str) -> list[tuple[Any, ...]]:
+    with read(bench.database) as connection:
+        return [tuple(row) for row in connection.execute(select(*(table.c[name] for name in names)))]
+
+
+def test_an_accident_is_told_in_steps_and_taken_back_where_it_was_none(bench: Bench) -> None:
+    ref = bench.vehicle("car-1")
+    signs = {4: CRASH_MPS2, 6: WORSE_MPS2, 8: NOTHING_MPS2}
+    run(bench, bench.journal(*[(ref, n, signs.get(n, 0.1)) for n in range(1, 11)]))
+    told = [event for _, event in bench.told]
+    assert [(one["type"], one["data"]["revision"], one["data"]["status"]) for one in told] == [
+        ("accident.detected", 0, "suspected"),
+        ("accident.updated", 1, "suspected"),
+        ("accident.retracted", 2, "retracted"),
+    ]
+    assert len({one["id"] for one in told}) == 3
+    assert len({one["data"]["accident_id"] for one in told}) == 1
+    assert list(told[0]["data"]["delta_v_interval_mps"]) == [7.0, None], "nothing bounds it from above"
+    (row,) = row_of(bench, accidents, "revision", "status", "t_ns", "received_ns")
+    crashed_ns = START_NS + 4 * SECOND_NS
+    assert row == (2, "retracted", crashed_ns, crashed_ns + SECOND_NS), "the time of the first alert stays"
+
+
+def test_revisions_of_one_packet_are_all_told_in_order(bench: Bench, other: Bench) -> None:
+    def at_once(bench: Bench) -> list[JournalEntry]:
+        ref = bench.vehicle("car-1")
+        return bench.journal(*[(ref, n, AT_ONCE_MPS2 if n == 4 else 0.1) for n in range(1, 9)])
+
+    run(bench, at_once(bench))
+    assert [event["data"]["revision"] for _, event in bench.told] == [0, 1, 2]
+    with read(bench.database) as connection:
+        stored = connection.scalars(select(events.c.type).order_by(events.c.cursor)).all()
+    assert stored == ["accident.detected", "accident.updated", "accident.updated"]
+    entries = at_once(other)
+    for entry in entries:  # a packet a batch
+        run(other, [entry])
+    assert other.stored() == bench.stored()
+
+
+@pytest.mark.parametrize("kept", [4, 6, 9])
+def test_an_outdated_revision_that_is_computed_again_changes_nothing(bench: Bench, other: Bench, kept: int) -> None:
+    signs = {3: CRASH_MPS2, 5: POTHOLE_MPS2, 6: WORSE_MPS2, 8: NOTHING_MPS2}
+
+    def packets(bench: Bench) -> list[JournalEntry]:
+        ref = bench.vehicle("car-1")
+        return bench.journal(*[(ref, n, signs.get(n, 0.1)) for n in range(1, 11)])
+
+    run(bench, packets(bench))
+    first = other.engine(checkpoint_interval_s=3600.0)
+    first.start()
+    first.submit(packets(other)[:kept])
+    assert first.drain(WAIT_S)
+    with write(other.database) as connection:  # as if it had been killed before the accident's own checkpoint
+        connection.execute(checkpoints.delete())
+    run(other, [])
+    assert other.stored() == bench.stored()
+    assert len(other.told) == len(bench.told) == 3
+
+
+def test_what_felt_like_an_accident_is_kept_with_its_reason_and_told_to_nobody(any_database: Database) -> None:
+    bench = Bench(any_database)
+    ref = bench.vehicle("car-1")
+    entries = bench.journal(*[(ref, n, POTHOLE_MPS2 if n == 3 else 0.1) for n in range(1, 6)])
+    run(bench, entries)
+    run(bench, entries)
+    (row,) = row_of(bench, accident_candidates, "vehicle_pk", "t_ns", "reason", "probability", "heading_deg", "detail")
+    assert row[:5] == (ref.pk, START_NS + 3 * SECOND_NS, "pothole", 0.04, None)
+    assert row[5] == {
+        "delta_v_mps": 1.5, "vertical_mps": None, "peak_mps2": 31.0, "duration_s": 0.05, "speed_before_mps": 12.0,
+        "paper_agrees": True,
+    }  # fmt: skip
+    assert bench.told == []
+
+
+def test_evidence_is_asked_for_with_a_checkpoint_of_a_minute_before(any_database: Database) -> None:
+    bench = Bench(any_database)
+    ref = bench.vehicle("car-1")
+    crashes = (50, 400)
+    entries = bench.journal(*[(ref, n, CRASH_MPS2 if n in crashes else 0.1) for n in range(1, 420)])
+    engine = bench.engine(checkpoint_interval_s=10.0, packets_per_vehicle=16)
+    engine.start()
+    engine.submit(entries)
+    assert engine.drain(WAIT_S)
+    engine.stop()
+    asked = dict(row_of(bench, evidence, "t_ns", "anchor_journal_id"))
+    early, late = (START_NS + n * SECOND_NS for n in crashes)
+    assert asked[early] is None, "its session began less than a minute before"
+    kept = dict(row_of(bench, older_checkpoints, "journal_id", "t_ns"))
+    assert 60 * SECOND_NS < late - kept[asked[late]] < 300 * SECOND_NS
+    assert len(kept) <= 3, "two, and one that is needed for open evidence"
 
 
 def test_postgresql_holds_the_same_to_the_bit(bench: Bench, postgres_database: Database) -> None:

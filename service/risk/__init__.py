@@ -1,0 +1,1 @@
+"""Risk: what the core assesses, read from files and told."""

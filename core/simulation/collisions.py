@@ -65,6 +65,8 @@ class Collision:
         At which it comes to rest when it does not drive on.
     ringing_share : float
         Of the pulse.
+    grip : float
+        Of tyres against sliding across; hardly any where the wheels leave the ground.
     """
 
     name: str
@@ -78,6 +80,7 @@ class Collision:
     after: After = After.REST
     ignition: bool = True
     ringing_share: float = 0.3
+    grip: float = GRIP
     box_m: tuple[float, float, float] = (float(BOX_M[0]), float(BOX_M[1]), float(BOX_M[2]))
 
 
@@ -130,7 +133,7 @@ def collide(
         braking,
         after_mps2,
         standing,
-        GRIP * STANDARD_GRAVITY_MPS2,
+        collision.grip * STANDARD_GRAVITY_MPS2,
     )
     rpy = np.column_stack([tilt[:, 0], tilt[:, 1], yaw])
     accel_n = np.column_stack([accel, np.zeros(n)])

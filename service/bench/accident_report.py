@@ -89,8 +89,9 @@ def _described(name: str, one: Mapping[str, Any]) -> Iterable[str]:
     )
     yield (
         f"  {name}: direction off by {_three(direction['error_deg'], 1)} deg, {_percent(direction['beyond_15_deg'])}"
-        f" by more than 15; told after {_three(delay['delay_s'], 3)} s, {_percent(delay['beyond_150_ms'])} later than"
-        " 150 ms"
+        f" by more than 15 ({_percent(direction['unclipped_beyond_15_deg'])} of the unclipped,"
+        f" {_percent(direction['clipped_beyond_15_deg'])} of the clipped); told after {_three(delay['delay_s'], 3)} s,"
+        f" {_percent(delay['beyond_150_ms'])} later than 150 ms"
     )
 
 

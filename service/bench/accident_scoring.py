@@ -176,7 +176,12 @@ def accident_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             ),
             "interval_coverage": _mean([one["in_interval"] for one in clipped if one["in_interval"] is not None]),
         },
-        "direction": {"beyond_15_deg": _mean(directions > 15.0), "error_deg": _spread(directions)},
+        "direction": {
+            "beyond_15_deg": _mean(directions > 15.0),
+            "unclipped_beyond_15_deg": _mean([one["direction_error_deg"] > 15.0 for one in whole]),
+            "clipped_beyond_15_deg": _mean([one["direction_error_deg"] > 15.0 for one in clipped]),
+            "error_deg": _spread(directions),
+        },
         "delay": {"beyond_150_ms": _mean(delays > 0.150), "delay_s": _spread(delays)},
         "rollovers_named": _mean([one["rollover_told"] for one in rolled]),
         "parked_hits_named": _mean([one["kind_told"] == "parked_hit" for one in found if one["kind"] == "parked_hit"]),

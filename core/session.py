@@ -18,6 +18,7 @@ from core.accident.thresholds import DetectorThresholds
 from core.box_clock import ANEW, LET_GO, STEPPED, BoxClock
 from core.calibration.drift import Biases, BiasUpdate
 from core.calibration.in_force import BoxCalibration, CalibrationInForce, parts_at
+from core.driving.manoeuvres import Episode, ManoeuvreThresholds, ManoeuvreTracker
 from core.driving.trips import Trip, TripThresholds, TripTracker
 from core.earth import STANDARD_GRAVITY_MPS2
 from core.held_axes import HeldAxes
@@ -64,7 +65,7 @@ class Outputs:
     """What one step brought: track rows every 100 ms, accidents, trips begun or changed, counts, and biases.
 
     ``biases`` are what a trip that has ended made of the calibration's, ``suppressed`` what felt like an accident
-    and was none.
+    and was none, ``episodes`` the manoeuvres that are over.
 
     ``counts`` names what the step met, such as ``gnss_position.fused``, ``gnss_position.rejected_gate``,
     ``imu.rejected_time``, ``imu.reset``, ``mounting.found``, ``mounting.contradicted``, ``clock.stepped_back``; only
@@ -77,6 +78,7 @@ class Outputs:
     counts: Mapping[str, int]
     biases: tuple[BiasUpdate, ...] = ()
     suppressed: tuple[Suppressed, ...] = ()
+    episodes: tuple[Episode, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +100,7 @@ class SessionConfig:
     filter: FilterConfig = field(default_factory=FilterConfig)
     detector: Literal["telefuse", "paper"] = "telefuse"
     impact: DetectorThresholds = field(default_factory=DetectorThresholds)
+    manoeuvres: ManoeuvreThresholds = field(default_factory=ManoeuvreThresholds)
     trips: TripThresholds = field(default_factory=TripThresholds)
 
 
@@ -157,6 +160,7 @@ class Session:
             PaperRule(config.impact.paper) if config.detector == "paper" else ImpactDetector(config.impact)
         )
         self._detector_stage = f"detector.{config.detector}"
+        self._manoeuvres = ManoeuvreTracker(config.manoeuvres)
         self._trips = TripTracker(config.trips)
         self._recent = Track.joined([])
         self._placed: tuple[int, Place] | None = None
@@ -181,6 +185,7 @@ class Session:
         tracks: list[Track] = []
         impacts: list[Impact] = []
         candidates: list[Candidate] = []
+        episodes: list[Episode] = []
         updates: list[BiasUpdate] = []
         cuts = self._in_force.cut(valid.imu_t_ns)
         for same in parts_at(valid, cuts) if cuts else (valid,):
@@ -190,19 +195,19 @@ class Session:
                 if self.tape is not None:
                     self.tape.fused(part, fused)
                 # A constant, so that packets do not matter: gravity differs from it by 0.03 m/s2 at most, and upwards.
-                found = self._detector.step(
-                    VehicleMotion(
-                        t_ns=part.t_ns,
-                        f_b=part.f_b,
-                        omega_b=part.omega_b,
-                        down_b=fused.epochs[:, :3],
-                        speed_mps=fused.epochs[:, 3],
-                        saturated=part.saturated,
-                        gravity_mps2=STANDARD_GRAVITY_MPS2,
-                        ignition=measurements.ignition,
-                        flags=measurements.flags,
-                    )
+                motion = VehicleMotion(
+                    t_ns=part.t_ns,
+                    f_b=part.f_b,
+                    omega_b=part.omega_b,
+                    down_b=fused.epochs[:, :3],
+                    speed_mps=fused.epochs[:, 3],
+                    saturated=part.saturated,
+                    gravity_mps2=STANDARD_GRAVITY_MPS2,
+                    ignition=measurements.ignition,
+                    flags=measurements.flags,
                 )
+                found = self._detector.step(motion)
+                episodes += self._manoeuvres.step(motion)
                 impacts += found.impacts
                 candidates += found.candidates
                 tracks.append(fused.track)
@@ -218,7 +223,7 @@ class Session:
         )
         self._recent = newest(rows, RECENT_S)
         self._add_counts(self._filter.counts - before, counts)
-        return Outputs(track, accidents, tuple(trips), counts, tuple(updates), suppressed)
+        return Outputs(track, accidents, tuple(trips), counts, tuple(updates), suppressed, tuple(episodes))
 
     def _place(self, impact: Impact, rows: Track) -> Place:
         """Where an accident was, as it was known when it was told first."""
@@ -296,6 +301,7 @@ class Session:
                     past, past_aids = turn.past
                     self._filter.retrace(past.t_ns, past.f_b, past.omega_b, _unsound(past), past_aids)
                 self._detector.turn(turn.C_new_from_old)
+                self._manoeuvres.turn(turn.C_new_from_old)
                 name = "mounting.contradicted" if finder.contradicted else "mounting.found"
                 counts[name] = counts.get(name, 0) + 1
             yield part, aids_of_part
@@ -365,6 +371,7 @@ class Session:
         session._filter.load(parts["filter"])
         if session._detector_stage in parts:  # else the vehicle's detector was changed: it starts anew
             session._detector.load(parts[session._detector_stage])
+        session._manoeuvres.load(parts["manoeuvres"])
         session._trips.load(parts["trips"])
         session._in_force.load(parts["calibration"])
         session._preparation = session._prepared(session._in_force.calibration)
@@ -383,6 +390,7 @@ class Session:
             ("warming", self._warming.arrays()),
             ("filter", self._filter.arrays()),
             (self._detector_stage, self._detector.state()),
+            ("manoeuvres", self._manoeuvres.state()),
             ("trips", self._trips.state()),
             ("calibration", self._in_force.arrays()),
             *found,

@@ -169,7 +169,10 @@ def simulate(
     """
     if scenario not in SCENARIOS:
         raise InvalidInputError(f"unknown scenario '{scenario}': expected one of {', '.join(SCENARIOS)}")
-    return simulate_scenario(scenario, SCENARIOS[scenario], seed, duration_s, rate_hz, draw)
+    chosen = SCENARIOS[scenario]
+    length_s = chosen.duration_s if duration_s is None else duration_s
+    check_asked(seed, draw, length_s)
+    return perform(scenario, chosen, seed, length_s, rate_hz, draw)
 
 
 def check_asked(seed: int, draw: int, duration_s: float) -> None:
@@ -181,17 +184,10 @@ def check_asked(seed: int, draw: int, duration_s: float) -> None:
         raise InvalidInputError(f"a drive of {duration_s:g} s: expected {SHORTEST_S:g} s to {LONGEST_S / 3600:g} h")
 
 
-def simulate_scenario(
-    name: str,
-    chosen: Scenario,
-    seed: int,
-    duration_s: float | None = None,
-    rate_hz: float = 200.0,
-    draw: int = 0,
+def perform(
+    name: str, chosen: Scenario, seed: int, length_s: float, rate_hz: float = 200.0, draw: int = 0
 ) -> SimulatedDrive:
-    """Simulate a scenario that need not be among ``SCENARIOS``; the rest as ``simulate``."""
-    length_s = chosen.duration_s if duration_s is None else duration_s
-    check_asked(seed, draw, length_s)
+    """Simulate a scenario that need not be in ``SCENARIOS``; the rest as ``simulate``."""
     route_rng, unit_rng, *noise_rngs = np.random.default_rng(seed).spawn(5)
     if draw > 0:
         noise_rngs = np.random.default_rng([seed, draw]).spawn(3)

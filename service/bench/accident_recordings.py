@@ -21,7 +21,7 @@ from core.simulation.crashes import Crash
 from core.simulation.disturbances import Disturbance, NonAccident
 from core.simulation.pulses import recorded_pulse, shaped_pulse
 from core.simulation.route import Route, RouteBuilder
-from core.simulation.scenarios import Scenario, simulate_scenario
+from core.simulation.scenarios import Scenario, perform
 from core.simulation.sensors import MICRO_IBB
 from core.simulation.shapes import Shape
 from service.bench.accident_scoring import DETECTORS, OURS, Story, listen, stories
@@ -81,7 +81,7 @@ def barrier(data: Path, sensor: str, full_scale_g: float, rate_hz: float, detect
         120.0,
         device=replace(MICRO_IBB, name=f"micro_ibb_{full_scale_g:.0f}_g", accelerometer=accelerometer),
     )
-    drive = drive_of(simulate_scenario("barrier", scenario, 1, scenario.duration_s, rate_hz))
+    drive = drive_of(perform("barrier", scenario, 1, scenario.duration_s, rate_hz))
     config = replace(fuse_config(vehicle_config(drive), every_s=0.1), detector=detector)  # type: ignore[arg-type]
     fused = fuse(drive, config)
     told = stories(one.impact for one in fused.told)

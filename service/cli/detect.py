@@ -1,4 +1,4 @@
-"""``telefuse detect``: accidents of a drive folder, one JSON object a line."""
+"""``telefuse detect``: accidents and manoeuvres of a drive folder, one JSON object a line."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ import argparse
 import json
 import math
 from dataclasses import asdict, replace
-from typing import Any
+from typing import Any, Final
 
-from core.accident.placing import Accident, Place, Suppressed
+from core.accident.placing import Accident, Place, Suppressed, place_at
 from core.accident.profiles import PROFILES, for_vehicle
+from core.driving.manoeuvres import Episode, Manoeuvre
+from core.navigation.track import Track
 from service.cli.drives import add_drive, fuse_with_progress, open_drive
+
+_TYPES: Final = {
+    Manoeuvre.BRAKING: "harsh_braking",
+    Manoeuvre.ACCELERATION: "harsh_acceleration",
+    Manoeuvre.CORNERING: "harsh_cornering",
+    Manoeuvre.LANE_CHANGE: "lane_change",
+}
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     lines = [_accident(accident, drive.start_t_ns) for accident in fused.accidents]
     if arguments.suppressed:
         lines += [_suppressed(one, drive.start_t_ns) for one in fused.suppressed]
+    lines += [_manoeuvre(one, fused.track, drive.start_t_ns) for one in fused.episodes]
     for line in sorted(lines, key=lambda line: float(line["t_s"])):
         print(json.dumps(line))
     return 0
@@ -88,6 +98,24 @@ def _suppressed(suppressed: Suppressed, start_t_ns: int) -> dict[str, Any]:
         "duration_s": candidate.duration_s,
         "speed_before_mps": _finite(candidate.speed_before_mps),
         "paper_agrees": candidate.paper_agrees,
+    }
+
+
+def _manoeuvre(episode: Episode, track: Track, start_t_ns: int) -> dict[str, Any]:
+    return {
+        "type": _TYPES[episode.kind],
+        "t_s": (episode.start_t_ns - start_t_ns) * 1e-9,
+        "duration_s": episode.duration_s,
+        **_place(place_at(episode.peak_t_ns, track)),
+        "direction": episode.direction or None,
+        "aggressive": episode.aggressive,
+        "peak_mps2": episode.peak_mps2,
+        "speed_before_mps": _finite(episode.speed_before_mps),
+        "speed_after_mps": _finite(episode.speed_after_mps),
+        "radius_m": _finite(episode.radius_m),
+        "heading_change_deg": math.degrees(episode.heading_change_rad),
+        "counted": episode.counted,
+        "defensive": episode.defensive,
     }
 
 

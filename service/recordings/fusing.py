@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from core.accident.events import Status
 from core.accident.placing import Accident, Suppressed
+from core.driving.manoeuvres import Episode, explained
 from core.earth import ned_offset_m
 from core.measurements import GNSS, FloatArray, Measurements, TimeArray
 from core.navigation.filter import FilterConfig
@@ -76,6 +77,7 @@ class Fused:
     solution: Solution | None = None
     records: AidRecords | None = None
     suppressed: tuple[Suppressed, ...] = ()
+    episodes: tuple[Episode, ...] = ()
     told: tuple[Accident, ...] = ()
 
 
@@ -138,6 +140,7 @@ def fuse(
     tracks: list[Track] = []
     told: list[Accident] = []
     suppressed: list[Suppressed] = []
+    episodes: list[Episode] = []
     counts: dict[str, int] = {}
     spent_s = 0.0
     for share, part in _chunks(m):
@@ -147,6 +150,7 @@ def fuse(
         tracks.append(outputs.track)
         told += outputs.accidents
         suppressed += outputs.suppressed
+        episodes += outputs.episodes
         for name, count in outputs.counts.items():
             counts[name] = counts.get(name, 0) + count
         progress(share)
@@ -170,6 +174,7 @@ def fuse(
         solution=solution,
         records=records,
         suppressed=tuple(suppressed),
+        episodes=tuple(explained(episodes, [one.impact.t_ns for one in standing])),
         told=tuple(told),
     )
 

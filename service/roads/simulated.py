@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from core.earth import horizontal_distance_m
-from core.simulation.scenarios import Scenario, SimulatedDrive, check_asked, simulate_scenario
+from core.simulation.scenarios import Scenario, SimulatedDrive, check_asked, perform
 from core.simulation.street_route import StreetDrive, StreetPath, drive_streets
 from service.errors import UsageError
 from service.roads import extra
@@ -88,7 +88,7 @@ def simulate_on_roads(
     scenario = Scenario(
         "streets of an OpenStreetMap extract", lambda _, __: streets.route, length_s, place=streets.place
     )
-    simulated = simulate_scenario("streets", scenario, seed, length_s, rate_hz, draw)
+    simulated = perform("streets", scenario, seed, length_s, rate_hz, draw)
     return replace(simulated, truth={**simulated.truth, "roads": roads.truth_of(drawn, streets, simulated)})
 
 

@@ -89,7 +89,7 @@ class Told:
         self.snapshot = session.snapshot()
         self.track = np.concatenate([o.track.values for o in outputs] or [np.empty((0, len(TRACK_COLUMNS)))])
         self.t_ns = np.concatenate([o.track.t_ns for o in outputs])
-        self.accidents = repr([one for o in outputs for one in (*o.accidents, *o.suppressed)])
+        self.accidents = repr([one for o in outputs for one in (*o.accidents, *o.suppressed, *o.episodes)])
         self.trips = repr([trip for o in outputs for trip in o.trips])
         self.counts = {}
         for o in outputs:

@@ -137,7 +137,12 @@ class Runtime:
         self.calibrating = CalibrationWorker(self.database, self.run_files)
         self.calibrating.start()
         at_stop(self.calibrating.stop)
-        self.proving = EvidenceWorker(self.database, self.directory, gap_wait_s=settings.gap_wait_s)
+        self.proving = EvidenceWorker(
+            self.database,
+            self.directory,
+            gap_wait_s=settings.gap_wait_s,
+            street_of=lambda *way: self.roads.match(*way).street(-1),
+        )
         self.proving.start()
         at_stop(self.proving.stop)
         # Nothing is taken before this line, and nothing after its stop; what comes is refused to be sent again.

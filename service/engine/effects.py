@@ -76,7 +76,7 @@ class Effects:
         self.suppressed += [(one, packet.received_ns) for one in outputs.suppressed]
         for accident in outputs.accidents:
             self.accidents.append((accident, packet.received_ns))
-            if not math.isfinite(accident.place.lat_rad):
+            if accident.impact.revision == 0 and not math.isfinite(accident.place.lat_rad):
                 # A box that never had a fix: it is told all the same, and an operator must see it.
                 self.counts["accident.no_position"] += 1
                 logger.error("vehicle %s: an impact at %d ns has no place", self.ref.vehicle_id, accident.impact.t_ns)

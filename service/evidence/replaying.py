@@ -31,7 +31,7 @@ def check_replay(bundle: Bundle) -> None:
     try:
         settings = VehicleConfig.model_validate(manifest["settings"])
         session = tape.open(settings, calibrations, bundle.members[CHECKPOINT])
-    except SnapshotError as error:
+    except (SnapshotError, KeyError, ValueError) as error:  # its state or settings are of another version's form
         raise BundleError(f"it cannot be replayed by this version: {error}") from error
     for number, packet in enumerate(bundle.packets()):
         outputs = session.step(measurements_from_packet(packet))

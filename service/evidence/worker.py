@@ -95,15 +95,17 @@ class EvidenceWorker:
         self._tried = {one.accident_id: self._tried.get(one.accident_id, 0) for one in waiting}
         for one in waiting:
             packet = newest[one.vehicle_pk]
-            if packet is None or self._is_due(one, packet, now_ns):
+            if self._is_due(one, packet, now_ns):
                 self._tried[one.accident_id] = 0 if packet is None else packet.received_ns
                 self._build(one, packet, now_ns)
             elif one.status == "partial" and now_ns - one.created_ns > self._policy.reopen_s * 1e9:
                 with write(self._database) as connection:
                     evidence.finish(connection, one.accident_id)
 
-    def _is_due(self, one: OpenEvidence, packet: PacketRow, now_ns: int) -> bool:
+    def _is_due(self, one: OpenEvidence, packet: PacketRow | None, now_ns: int) -> bool:
         """Whether the packets of the time after the accident are there, or none come any more, and were not tried."""
+        if packet is None:  # of a vehicle whose packets are gone: once is enough
+            return one.built_ns is None and self._is_silent(None, now_ns)
         if one.built_ns is not None and packet.received_ns <= one.built_ns:
             return False
         if self._is_silent(packet, now_ns):

@@ -168,6 +168,17 @@ def test_what_stays_partial_is_done_with_after_a_day(story: Story) -> None:
     assert story.bundle().manifest["covered"]["from_ns"] is not None
 
 
+def test_an_accident_whose_packets_are_gone_has_evidence_that_says_so_and_is_looked_at_once(told: Story) -> None:
+    with write(told.database) as connection:
+        connection.execute(tables.journal.delete())
+    assert told.turn(60.0 - len(told.packets)).status == "pending", "the service has just begun"
+    row = told.turn(100.0)
+    assert row.status == "partial"
+    assert told.bundle().manifest["covered"]["from_ns"] is None
+    assert told.turn(HOUR_S) == row
+    assert told.turn(25 * HOUR_S).status == "final"
+
+
 def test_packets_that_are_missing_are_waited_for_and_then_said_to_be_missing(story: Story) -> None:
     story.send(story.crash + 33, skipped=frozenset({story.crash + 25, story.crash + 26}))
     assert story.turn().status == "pending", "the two may still come"

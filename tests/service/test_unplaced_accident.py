@@ -31,9 +31,12 @@ def blind_crash() -> Measurements:
 
 
 def test_a_session_without_a_fix_finds_the_crash_and_says_that_its_place_is_unknown(blind_crash: Measurements) -> None:
-    (accident,) = Session(SessionConfig()).step(blind_crash).accidents
-    assert np.isnan(accident.place.lat_rad)
-    assert accident.place.mode == Mode.ALIGNING
+    revisions = Session(SessionConfig()).step(blind_crash).accidents
+    assert [one.impact.revision for one in revisions] == list(range(len(revisions)))
+    assert len({one.impact.t_ns for one in revisions}) == 1
+    for accident in revisions:
+        assert np.isnan(accident.place.lat_rad)
+        assert accident.place.mode == Mode.ALIGNING
 
 
 def test_it_is_stored_and_told_all_the_same(any_database, blind_crash: Measurements) -> None:
@@ -44,11 +47,15 @@ def test_it_is_stored_and_told_all_the_same(any_database, blind_crash: Measureme
     entry = JournalEntry(1, ref.pk, "boot", 1, 1, 1, b"x")
     effects.add(Session(SessionConfig()).step(blind_crash), entry)
     with write(any_database) as connection:
-        (told,) = effects.store(connection, stored_ns=2)
-    assert told.body["lat_deg"] is None
+        told = effects.store(connection, stored_ns=2)
+    assert {one.body["lat_deg"] for one in told} == {None}
+    assert effects.counts["accident.no_position"] == 1
     with read(any_database) as connection:
         assert connection.execute(select(accidents.c.lat_deg)).scalars().all() == [None]
-        assert connection.execute(select(events.c.type)).scalars().all() == ["accident.detected"]
+        kinds = connection.execute(select(events.c.type).order_by(events.c.cursor)).scalars().all()
+    assert kinds[0] == "accident.detected"
+    assert set(kinds[1:]) <= {"accident.updated"}
+    assert len(kinds) == len(told)
 
 
 def test_an_old_place_is_kept_with_a_spread_that_says_how_old() -> None:

@@ -222,7 +222,7 @@ class ImpactDetector:
             paper_agrees=paper_rule.holds_within(x, pulse.first, row, limits.paper),
             kind=Kind.PARKED_HIT if pulse.stood and self._parked(int(t_ns[pulse.first])) else Kind.COLLISION,
             delta_v_interval_mps=interval,
-            pdof_sd_deg=force_direction_sd_deg(delta_v, across_sd, limits.pulse),
+            pdof_sd_deg=force_direction_sd_deg(delta_v, across_sd, limits.pulse, clipped=clipped),
             injury=injury_risk(interval, pdof_deg),
             reasons=reasons(_NOTHING_YET, limits.aftermath, clipped=clipped, rollover=False),
         )

@@ -28,10 +28,14 @@ def force_direction_deg(forward_mps: float, right_mps: float) -> float:
     return 0.0 if angle == 360.0 else angle
 
 
-def force_direction_sd_deg(delta_v_mps: float, across_sd_mps: float, thresholds: PulseThresholds) -> float:
-    """Spread of the direction: what errs across the change of velocity, and how the box sits; at most uniform."""
+def force_direction_sd_deg(
+    delta_v_mps: float, across_sd_mps: float, thresholds: PulseThresholds, *, clipped: bool
+) -> float:
+    """Spread of the direction: what errs across the change of velocity, how the box sits, and what clipping
+    hides of it; at most uniform."""
     across = math.atan2(across_sd_mps, max(delta_v_mps, 1e-3))
-    return min(math.degrees(math.hypot(across, thresholds.yaw_sd_rad)), UNIFORM_DEG)
+    hidden_deg = thresholds.clipped_direction_sd_deg if clipped else 0.0
+    return min(math.hypot(math.degrees(math.hypot(across, thresholds.yaw_sd_rad)), hidden_deg), UNIFORM_DEG)
 
 
 UNIFORM_DEG: Final = 360.0 / math.sqrt(12.0)

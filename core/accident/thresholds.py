@@ -218,6 +218,13 @@ class PulseThresholds(Tunables):
     yaw_sd_rad: float = tunable(
         0.05, unit="rad", low=0.001, high=0.5, source="choice, 3 deg: yaw of the box in the vehicle"
     )
+    clipped_direction_sd_deg: float = tunable(
+        20.0,
+        unit="deg",
+        low=0.0,
+        high=90.0,
+        source="two thirds of simulated clipped pulses are told within it (bench --accidents --part corpus)",
+    )
     noise_sd_mps: float = tunable(
         0.1, unit="m/s", low=0.001, high=2.0, source="choice: road and body vibration on an integrated pulse"
     )
@@ -231,7 +238,7 @@ class JudgementThresholds(Tunables):
         0.5, unit="1", low=0.05, high=0.99, source="choice: told when an accident is likelier than not"
     )
     tell_early: float = tunable(
-        0.97, unit="1", low=0.5, high=0.999, source="choice: what is not over yet is told only where it is plain"
+        0.93, unit="1", low=0.5, high=0.999, source="choice: what is not over yet is told only where it is plain"
     )
     retract: float = tunable(
         0.3, unit="1", low=0.0, high=0.9, source="choice: below tell, so that what is told does not flicker"

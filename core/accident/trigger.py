@@ -61,7 +61,7 @@ NEVER: Final = -(1 << 61)
 (LEAN_SINCE, LEAN_LAST, LEANS, UPRIGHT_AGAIN, LEAN_TOLD) = range(20, 25)
 REGISTERS: Final = 25
 """Registers, int64. Of a suspected pulse: whether there is one, its start and when it was suspected, the last sample
-beyond reach, the time windows may not begin before, whether its first look was had. When the vehicle stood last.
+beyond reach, the time windows may not begin before, how often it was looked at. When the vehicle stood last.
 Of shocks: the first, the last, how many. Since and until when driving was hard. Since when it lies on its side, and
 whether that was seen. Since when the box falls, and when it last had fallen for ``fall_s``. Of the open accident:
 whether there is one, from and until when it is followed; and when the vehicle moved last. Since and until when a parked
@@ -72,6 +72,12 @@ MARKS: Final = 7
 """Marks, float64. Of what followed the open accident: the least and most fused speed (NaN while unknown), the largest
 mean square of vertical acceleration, the heading's change, rad, the longest rest. The hardest driving, forward and
 right, m/s2."""
+
+
+LOOKS: Final = 3
+LOOK_NS: Final = 12_000_000
+"""How often a pulse that goes on is looked at before it is over, and how far apart, ns: up to 135 ms from its start.
+A choice."""
 
 
 def fresh_registers() -> TimeArray:
@@ -148,8 +154,8 @@ def scan(
             latest = max(registers[START] + decide, registers[SUSPECTED] + slow_decide)
             if now - registers[HOT] >= settled or now >= latest:
                 return row, row, 2
-            if not registers[SEEN_EARLY] and now - registers[START] >= tell:
-                registers[SEEN_EARLY] = 1
+            if registers[SEEN_EARLY] < LOOKS and now - registers[START] >= tell + registers[SEEN_EARLY] * LOOK_NS:
+                registers[SEEN_EARLY] += 1
                 return row, row, 1
         elif now - registers[HOT] <= shortest and not gap:
             most = 0.0

@@ -218,9 +218,7 @@ class Session:
         track = Track.joined(tracks)
         rows = Track.joined([self._recent, track])
         accidents = tuple(Accident(impact, self._place(impact, rows)) for impact in impacts)
-        suppressed = tuple(
-            Suppressed(one, place_at(one.t_ns, told_until(rows, one.decided_t_ns))) for one in candidates
-        )
+        suppressed = tuple(Suppressed(one, _seen_place(one.t_ns, one.decided_t_ns, rows)) for one in candidates)
         self._recent = newest(rows, RECENT_S)
         self._add_counts(self._filter.counts - before, counts)
         return Outputs(track, accidents, tuple(trips), counts, tuple(updates), suppressed, tuple(episodes))
@@ -228,7 +226,7 @@ class Session:
     def _place(self, impact: Impact, rows: Track) -> Place:
         """Where an accident was, as it was known when it was told first."""
         if self._placed is None or self._placed[0] != impact.t_ns:
-            self._placed = impact.t_ns, place_at(impact.t_ns, told_until(rows, impact.decided_t_ns))
+            self._placed = impact.t_ns, _seen_place(impact.t_ns, impact.decided_t_ns, rows)
         return self._placed[1]
 
     def _calibrate(self, measured: Measurements) -> Iterator[BiasUpdate]:
@@ -411,6 +409,12 @@ class Session:
         for aid, outcome in zip(*np.nonzero(table > 0), strict=True):
             name = f"{state.AIDS[aid]}.{state.OUTCOMES[outcome]}"
             counts[name] = counts.get(name, 0) + int(table[aid, outcome])
+
+
+def _seen_place(t_ns: int, decided_t_ns: int, rows: Track) -> Place:
+    """Where the vehicle was, by the rows of the last ``RECENT_S`` that were there at the decision: all that a session
+    keeps of them, however samples come in packets."""
+    return place_at(t_ns, newest(told_until(rows, decided_t_ns), RECENT_S))
 
 
 def _unsound(samples: BodySamples) -> npt.NDArray[np.float64]:

@@ -89,7 +89,8 @@ class Told:
         self.snapshot = session.snapshot()
         self.track = np.concatenate([o.track.values for o in outputs] or [np.empty((0, len(TRACK_COLUMNS)))])
         self.t_ns = np.concatenate([o.track.t_ns for o in outputs])
-        self.accidents = repr([one for o in outputs for one in (*o.accidents, *o.suppressed, *o.episodes)])
+        kinds = ("accidents", "suppressed", "episodes")
+        self.accidents = repr([[one for o in outputs for one in getattr(o, kind)] for kind in kinds])
         self.trips = repr([trip for o in outputs for trip in o.trips])
         self.counts = {}
         for o in outputs:

@@ -44,6 +44,12 @@ LOOSE_ODDS: Final = -4.0
 """The same where it had stood, or the box fell or spun as no car does. A choice."""
 
 
+FELL_BEFORE_S: Final = 0.6
+"""How long before a shock a fall is its cause, s: it ends a fall of up to a metre. A choice."""
+FELL_BEFORE_TILT_S: Final = 1.5
+"""The same before a box lies on its side: it tumbles on. A choice."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Open:
     """The accident that is followed: as it was told last, its log-odds, and when its latest impact ended."""
@@ -200,6 +206,7 @@ class ImpactDetector:
             clipping_s=pulse.clipping_s,
             abrupt=pulse.abrupt,
             rough_mps2=math.sqrt(max(float(x[pulse.first, ROUGH]), 0.0)),
+            speed_mps=float(x[pulse.first, SPEED]),
             stood=pulse.stood,
             fell=self._fell(int(t_ns[pulse.first])) and pulse.rate_radps > limits.naming.fallen_radps,
         )
@@ -228,8 +235,8 @@ class ImpactDetector:
         )
         return impact, odds
 
-    def _fell(self, t_ns: int) -> bool:
-        return t_ns - int(self._registers[trigger.FELL]) < _ns(FELL_BEFORE_S)
+    def _fell(self, t_ns: int, within_s: float = FELL_BEFORE_S) -> bool:
+        return t_ns - int(self._registers[trigger.FELL]) < _ns(within_s)
 
     def _parked(self, t_ns: int) -> bool:
         if self._ignition is not None:
@@ -312,6 +319,7 @@ class ImpactDetector:
             turned_rad=float(marks[trigger.TURNED]),
             airbag=was.airbag,
             power_loss=was.power_loss,
+            rolled_only=was.impact.kind is Kind.ROLLOVER and was.impact.impacts == 1,
         )
         odds = followed(was.odds, after, limits.judgement, limits.aftermath)
         status = Status.CONFIRMED if probability(odds) >= limits.judgement.tell else Status.RETRACTED
@@ -403,7 +411,7 @@ class ImpactDetector:
         shock, swing_mps, delta_v_mps, _ = read_shock(
             level.t_ns, level.x, level.flags, since_ns - _ns(1.0), since_ns,
             shocks=0,
-            fell=self._fell(since_ns),
+            fell=self._fell(since_ns, FELL_BEFORE_TILT_S),
             moved=since_ns - registers[trigger.MOVED] < _ns(limits.aftermath.parked_s),
             towed=bool(self._seen_flags & FLAG_TOW),
         )  # fmt: skip
@@ -471,9 +479,6 @@ class ImpactDetector:
             impact = replace(was.impact, decided_t_ns=int(self._level.t_ns[row]), reasons=told)
             self._update(impact, odds, row, found)
 
-
-FELL_BEFORE_S: Final = 0.6
-"""How long before a shock a fall is its cause, s: it ends a fall of up to a metre. A choice."""
 
 _NOTHING_YET: Final = Aftermath(0.0, math.nan, math.nan, 0.0, 0.0, airbag=False, power_loss=False)
 

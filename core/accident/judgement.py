@@ -26,6 +26,7 @@ class Evidence:
     abrupt : largest acceleration right before and after, over its peak
     rate_radps, jolt_radps : the fastest rotation and the largest change of it
     rough_mps2 : rms of the vertical acceleration just before
+    speed_mps : fused speed just before; NaN while unknown
     stood : whether the vehicle had stood
     clipping_s : for how long an axis of the accelerometer read its full scale at a stretch
     fell : whether the box fell freely just before
@@ -40,6 +41,7 @@ class Evidence:
     rate_radps: float
     jolt_radps: float
     rough_mps2: float
+    speed_mps: float
     stood: bool
     clipping_s: float
     fell: bool
@@ -47,7 +49,10 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Aftermath:
-    """What followed an accident, for ``seen_s``. Speeds NaN while unknown."""
+    """What followed an accident, for ``seen_s``. Speeds NaN while unknown.
+
+    ``rolled_only`` is whether nothing but a tilt told it: a vehicle that rolled over comes to rest.
+    """
 
     seen_s: float
     speed_before_mps: float
@@ -56,6 +61,7 @@ class Aftermath:
     turned_rad: float
     airbag: bool
     power_loss: bool
+    rolled_only: bool = False
 
 
 def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
@@ -74,7 +80,13 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     total -= limits.long * max(0.0, math.log(duration_s / limits.long_s))
     if evidence.rate_radps > limits.rotation_radps:
         total -= limits.rotation * math.log(evidence.rate_radps / limits.rotation_radps)
-    glitch = evidence.abrupt < limits.abrupt_share and evidence.jolt_radps < limits.abrupt_radps
+    short = evidence.abrupt < limits.abrupt_share or evidence.duration_s < limits.short_s
+    glitch = short and evidence.jolt_radps < limits.abrupt_radps
+    # A gyroscope that says nothing at all says nothing of this either.
+    unturned = 0.0 < evidence.jolt_radps < limits.unturned_radps and evidence.delta_v_mps < limits.unturned_mps
+    glitch = glitch or unturned
+    if evidence.speed_mps < limits.crawl_mps and evidence.delta_v_mps < limits.crawl_share * evidence.speed_mps:
+        total -= limits.crawl
     stuck = evidence.clipping_s > limits.stuck_s or (
         evidence.clipping_s > limits.still_s and _is_still(evidence, limits)
     )
@@ -91,6 +103,8 @@ def followed(odds: float, after: Aftermath, limits: JudgementThresholds, watched
     """Log-odds of an accident with what followed it."""
     if after.airbag or after.power_loss:
         odds += limits.flagged
+    if after.rolled_only and after.rest_s < watched.rest_s and not math.isnan(after.least_speed_mps):
+        odds -= limits.rolled_on
     if after.rest_s >= watched.rest_s and after.speed_before_mps > watched.moving_mps:
         odds += limits.rested
     elif drove_on(after, watched):

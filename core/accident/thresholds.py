@@ -269,7 +269,9 @@ class JudgementThresholds(Tunables):
     long_s: float = tunable(
         0.15, unit="s", low=0.05, high=1.0, source="choice: longer than most crash pulses, and than a foot takes"
     )
-    long: float = tunable(3.4, unit="1", low=0.0, high=50.0, source="fitted to simulated cases")
+    long: float = tunable(
+        4.5, unit="1", low=0.0, high=50.0, source="fitted to simulated cases (3.4); more, for brakes on rough roads"
+    )
     rotation_radps: float = tunable(
         7.0,
         unit="rad/s",
@@ -283,6 +285,25 @@ class JudgementThresholds(Tunables):
     )
     abrupt_radps: float = tunable(
         0.15, unit="rad/s", low=0.0, high=2.0, source="choice: blows turn a car, if only by its springs"
+    )
+    unturned_radps: float = tunable(
+        0.05,
+        unit="rad/s",
+        low=0.0,
+        high=1.0,
+        source="choice: the least that a weak blow turned a simulated car was 0.1",
+    )
+    unturned_mps: float = tunable(
+        3.0, unit="m/s", low=0.5, high=20.0, source="choice: harder ones are told all the same"
+    )
+    crawl_mps: float = tunable(
+        1.5, unit="m/s", low=0.3, high=3.0, source="choice: slower than walking; kerb stones stop who parks"
+    )
+    crawl_share: float = tunable(
+        1.4, unit="1", low=1.0, high=3.0, source="choice: stopping takes the speed, rolling back a third of it more"
+    )
+    crawl: float = tunable(
+        4.0, unit="1", low=0.0, high=20.0, source="choice: kerb stones are met far oftener than cars"
     )
     stuck_s: float = tunable(
         0.2, unit="s", low=0.05, high=1.0, source="choice: crash pulses at 2 g last 0.12 s; an axis that hangs goes on"
@@ -302,6 +323,9 @@ class JudgementThresholds(Tunables):
     )
     rested: float = tunable(1.5, unit="1", low=0.0, high=20.0, source="choice: most who crash come to rest")
     drove_on: float = tunable(2.5, unit="1", low=0.0, high=20.0, source="choice: few who crash drive on as before")
+    rolled_on: float = tunable(
+        4.0, unit="1", low=0.0, high=20.0, source="choice: who rolls over comes to rest within ten seconds or so"
+    )
     flagged: float = tunable(6.0, unit="1", low=0.0, high=20.0, source="choice: an airbag that fired, or power lost")
 
 

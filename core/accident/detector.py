@@ -24,7 +24,7 @@ from core.accident.events import (
     VehicleMotion,
 )
 from core.accident.judgement import Aftermath, Evidence, followed, log_odds, probability, reasons
-from core.accident.level import CLIPPED, ROUGH, SPEED, LevelMotion
+from core.accident.level import CLIPPED, SPEED, LevelMotion
 from core.accident.naming import lean, manoeuvre, name
 from core.accident.pulse import Pulse, read_pulse, unclip
 from core.accident.severity import classify, force_direction_deg, force_direction_sd_deg, injury_risk
@@ -205,7 +205,6 @@ class ImpactDetector:
             jolt_radps=pulse.jolt_radps,
             clipping_s=pulse.clipping_s,
             abrupt=pulse.abrupt,
-            rough_mps2=math.sqrt(max(float(x[pulse.first, ROUGH]), 0.0)),
             speed_mps=float(x[pulse.first, SPEED]),
             stood=pulse.stood,
             fell=self._fell(int(t_ns[pulse.first])) and pulse.rate_radps > limits.naming.fallen_radps,
@@ -254,7 +253,7 @@ class ImpactDetector:
             self._close(row, found)
         self._open = _Open(impact, odds, impact.decided_t_ns)
         self._registers[trigger.OPEN], self._registers[trigger.OPEN_FROM] = 1, impact.decided_t_ns
-        self._marks[[trigger.LEAST_SPEED, trigger.MOST_SPEED]] = math.nan
+        self._marks[trigger.LEAST_SPEED] = math.nan
         self._marks[[trigger.MOST_ROUGH, trigger.TURNED, trigger.LONGEST_REST]] = 0.0
         found.impacts.append(impact)
         self._go_on()
@@ -312,11 +311,11 @@ class ImpactDetector:
         was, limits, marks = self._opened, self._limits, self._marks
         now = int(self._level.t_ns[row])
         after = Aftermath(
-            seen_s=(now - was.impact.t_ns) * 1e-9,
             speed_before_mps=was.impact.speed_before_mps,
             least_speed_mps=float(marks[trigger.LEAST_SPEED]),
             rest_s=float(marks[trigger.LONGEST_REST]),
             turned_rad=float(marks[trigger.TURNED]),
+            rough_mps2=math.sqrt(max(float(marks[trigger.MOST_ROUGH]), 0.0)),
             airbag=was.airbag,
             power_loss=was.power_loss,
             rolled_only=was.impact.kind is Kind.ROLLOVER and was.impact.impacts == 1,
@@ -480,7 +479,7 @@ class ImpactDetector:
             self._update(impact, odds, row, found)
 
 
-_NOTHING_YET: Final = Aftermath(0.0, math.nan, math.nan, 0.0, 0.0, airbag=False, power_loss=False)
+_NOTHING_YET: Final = Aftermath(math.nan, math.nan, 0.0, 0.0, 0.0, airbag=False, power_loss=False)
 
 
 def _ns(seconds: float) -> int:

@@ -25,7 +25,6 @@ class Evidence:
     retained : share of the change that was kept, 0..1
     abrupt : largest acceleration right before and after, over its peak
     rate_radps, jolt_radps : the fastest rotation and the largest change of it
-    rough_mps2 : rms of the vertical acceleration just before
     speed_mps : fused speed just before; NaN while unknown
     stood : whether the vehicle had stood
     clipping_s : for how long an axis of the accelerometer read its full scale at a stretch
@@ -40,7 +39,6 @@ class Evidence:
     abrupt: float
     rate_radps: float
     jolt_radps: float
-    rough_mps2: float
     speed_mps: float
     stood: bool
     clipping_s: float
@@ -49,16 +47,16 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Aftermath:
-    """What followed an accident, for ``seen_s``. Speeds NaN while unknown.
+    """What followed an accident. Speeds NaN while unknown, ``rough_mps2`` the largest rms of the vertical acceleration.
 
     ``rolled_only`` is whether nothing but a tilt told it: a vehicle that rolled over comes to rest.
     """
 
-    seen_s: float
     speed_before_mps: float
     least_speed_mps: float
     rest_s: float
     turned_rad: float
+    rough_mps2: float
     airbag: bool
     power_loss: bool
     rolled_only: bool = False
@@ -140,6 +138,8 @@ def reasons(after: Aftermath, watched: AftermathThresholds, *, clipped: bool, ro
         told.append("drove on")
     if abs(after.turned_rad) > math.radians(45.0):
         told.append(f"turned by {round(abs(math.degrees(after.turned_rad)))} degrees")
+    if after.rough_mps2 > watched.off_road_mps2:
+        told.append("shaken as off the road")
     if clipped:
         told.append("accelerometer clipped")
     return tuple(told)

@@ -340,6 +340,9 @@ class AftermathThresholds(Tunables):
     moving_mps: float = tunable(
         1.0, unit="m/s", low=0.2, high=5.0, source="choice: that who stood before stands after says nothing"
     )
+    off_road_mps2: float = tunable(
+        4.0, unit="m/s2", low=1.0, high=20.0, source="choice: rms beyond cobbles and gravel, ISO 8608 classes E and F"
+    )
     drove_on_share: float = tunable(
         0.8, unit="1", low=0.3, high=1.0, source="choice: never slower than so much of the speed before"
     )

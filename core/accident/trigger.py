@@ -67,13 +67,15 @@ whether that was seen. Since when the box falls, and when it last had fallen for
 whether there is one, from and until when it is followed; and when the vehicle moved last. Since and until when a parked
 vehicle leans, how often, whether it was upright since, and whether that was told."""
 
-(LEAST_SPEED, MOST_SPEED, MOST_ROUGH, TURNED, LONGEST_REST, HARD_X, HARD_Y) = range(7)
-MARKS: Final = 7
-"""Marks, float64. Of what followed the open accident: the least and most fused speed (NaN while unknown), the largest
+(LEAST_SPEED, MOST_ROUGH, TURNED, LONGEST_REST, HARD_X, HARD_Y) = range(6)
+MARKS: Final = 6
+"""Marks, float64. Of what followed the open accident: the least fused speed (NaN while unknown), the largest
 mean square of vertical acceleration, the heading's change, rad, the longest rest. The hardest driving, forward and
 right, m/s2."""
 
 
+SHAKEN_NS: Final = 2_500_000_000
+"""How long an accident's own shaking lasts in the mean of a second, ns; what shakes later is the ground. A choice."""
 LOOKS: Final = 3
 LOOK_NS: Final = 12_000_000
 """How often a pulse that goes on is looked at before it is over, and how far apart, ns: up to 135 ms from its start.
@@ -277,8 +279,8 @@ def _follow(t_ns: TimeArray, x: FloatArray, row: int, from_ns: int, marks: Float
     speed = x[row, SPEED]
     if not math.isnan(speed):
         marks[LEAST_SPEED] = speed if math.isnan(marks[LEAST_SPEED]) else min(marks[LEAST_SPEED], speed)
-        marks[MOST_SPEED] = speed if math.isnan(marks[MOST_SPEED]) else max(marks[MOST_SPEED], speed)
-    marks[MOST_ROUGH] = max(marks[MOST_ROUGH], x[row, ROUGH])
+    if t_ns[row] - from_ns >= SHAKEN_NS:
+        marks[MOST_ROUGH] = max(marks[MOST_ROUGH], x[row, ROUGH])
     rest_s = min(x[row, REST_S], (t_ns[row] - from_ns) * 1e-9)
     marks[LONGEST_REST] = max(marks[LONGEST_REST], rest_s)
     if row > 0:

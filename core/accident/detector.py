@@ -91,7 +91,9 @@ class ImpactDetector:
         self._reaches = trigger.levels(limits.trigger)
         self._open: _Open | None = None
         self._weak: _Weak | None = None
-        self._seen_flags = 0
+        self._flags = 0
+        self._airbag_ns = self._power_loss_ns = NEVER
+        self._towed = False
         self._told_ns = NEVER
         self._ignition: bool | None = None
 
@@ -100,7 +102,7 @@ class ImpactDetector:
         level, found = self._level, Findings([], [])
         row = level.extend(motion)
         self._ignition = motion.ignition
-        self._seen_flags = motion.flags & (self._seen_flags | FLAG_TOW)
+        self._towed = bool(motion.flags & FLAG_TOW)
         while True:
             row, evidence_row, stop = scan(
                 level.t_ns, level.x, level.flags, row, self._registers, self._marks, self._spans_ns, self._reaches
@@ -132,7 +134,9 @@ class ImpactDetector:
         kept = {
             "open": None if self._open is None else asdict(self._open),
             "weak": None if self._weak is None else asdict(self._weak),
-            "flags": self._seen_flags,
+            "flags": self._flags,
+            "airbag_ns": self._airbag_ns,
+            "power_loss_ns": self._power_loss_ns,
             "told_ns": self._told_ns,
         }
         return {
@@ -150,7 +154,8 @@ class ImpactDetector:
         kept = json.loads(arrays["detector.kept"].tobytes())
         self._open = None if kept["open"] is None else _open_from(kept["open"])
         self._weak = None if kept["weak"] is None else _Weak(**kept["weak"])
-        self._seen_flags, self._told_ns = kept["flags"], kept["told_ns"]
+        self._flags, self._told_ns = kept["flags"], kept["told_ns"]
+        self._airbag_ns, self._power_loss_ns = kept["airbag_ns"], kept["power_loss_ns"]
 
     def _judge(self, row: int, evidence_row: int, whole: bool, found: Findings) -> None:
         """Judge the suspected pulse at ``row``, with rows up to ``evidence_row`` as evidence."""
@@ -353,7 +358,7 @@ class ImpactDetector:
             shocks=int(registers[trigger.SHOCKS]),
             fell=self._fell(start_ns),
             moved=start_ns - registers[trigger.MOVED] < _ns(self._limits.aftermath.parked_s),
-            towed=bool(self._seen_flags & FLAG_TOW),
+            towed=self._towed,
         )  # fmt: skip
         found.candidates.append(
             Candidate(
@@ -412,7 +417,7 @@ class ImpactDetector:
             shocks=0,
             fell=self._fell(since_ns, FELL_BEFORE_TILT_S),
             moved=since_ns - registers[trigger.MOVED] < _ns(limits.aftermath.parked_s),
-            towed=bool(self._seen_flags & FLAG_TOW),
+            towed=self._towed,
         )  # fmt: skip
         rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
         loose = shock.stood or shock.fell or rate > limits.judgement.rotation_radps
@@ -463,20 +468,25 @@ class ImpactDetector:
         )
 
     def _take_flags(self, flags: int, found: Findings) -> None:
-        """An airbag or a loss of power makes an open accident surer, and is told at once."""
-        new = flags & (FLAG_AIRBAG | FLAG_POWER_LOSS) & ~self._seen_flags
-        self._seen_flags |= new
-        if not new or self._open is None:
+        """An airbag or a loss of power near an open accident makes it surer; an airbag is told at once."""
+        if not self._level.t_ns.size:
             return
-        was, row = self._open, len(self._level.t_ns) - 1
-        self._open = replace(
-            was, airbag=was.airbag or bool(new & FLAG_AIRBAG), power_loss=was.power_loss or bool(new & FLAG_POWER_LOSS)
-        )
-        if new & FLAG_AIRBAG:
-            told = ("airbag deployed", *was.impact.reasons)
-            odds = was.odds + self._limits.judgement.flagged
-            impact = replace(was.impact, decided_t_ns=int(self._level.t_ns[row]), reasons=told)
-            self._update(impact, odds, row, found)
+        row, limits = len(self._level.t_ns) - 1, self._limits
+        now = int(self._level.t_ns[row])
+        if flags & FLAG_AIRBAG and not self._flags & FLAG_AIRBAG:
+            self._airbag_ns = now
+        if flags & FLAG_POWER_LOSS and not self._flags & FLAG_POWER_LOSS:
+            self._power_loss_ns = now
+        self._flags = flags
+        if self._open is None:
+            return
+        was, since_ns = self._open, self._open.impact.t_ns - _ns(limits.aftermath.follow_s)
+        if self._power_loss_ns >= since_ns and not was.power_loss:
+            self._open = was = replace(was, power_loss=True, odds=was.odds + limits.judgement.flagged)
+        if self._airbag_ns >= since_ns and not was.airbag:
+            self._open = replace(was, airbag=True)
+            impact = replace(was.impact, decided_t_ns=now, reasons=("airbag deployed", *was.impact.reasons))
+            self._update(impact, was.odds + limits.judgement.flagged, row, found)
 
 
 _NOTHING_YET: Final = Aftermath(math.nan, math.nan, 0.0, 0.0, 0.0, airbag=False, power_loss=False)

@@ -98,9 +98,7 @@ def _is_still(evidence: Evidence, limits: JudgementThresholds) -> bool:
 
 
 def followed(odds: float, after: Aftermath, limits: JudgementThresholds, watched: AftermathThresholds) -> float:
-    """Log-odds of an accident with what followed it."""
-    if after.airbag or after.power_loss:
-        odds += limits.flagged
+    """Log-odds of an accident with how it went on; flags have been added when they came."""
     if after.rolled_only and after.rest_s < watched.rest_s and not math.isnan(after.least_speed_mps):
         odds -= limits.rolled_on
     if after.rest_s >= watched.rest_s and after.speed_before_mps > watched.moving_mps:

@@ -254,6 +254,31 @@ def test_an_airbag_makes_an_accident_certain_and_is_told_at_once():
     assert revisions[-1].confidence > 0.99
 
 
+@pytest.mark.parametrize("rises_s", [IMPACT_S - 0.5, IMPACT_S + 0.02, IMPACT_S + 1.0])
+def test_an_airbag_flag_counts_wherever_packets_are_cut(rises_s):
+    motion = drive((IMPACT_S, -6.0, 0.0, 0.0, 0.12), seconds=8.0)
+    t_s = (motion.t_ns - EPOCH_NS) * 1e-9
+    detector = ImpactDetector()
+    before, after = (take(motion, np.flatnonzero(part)) for part in (t_s < rises_s, t_s >= rises_s))
+    impacts = detector.step(dataclasses.replace(before, flags=0)).impacts
+    for part in np.array_split(np.arange(len(after.t_ns)), 5):
+        impacts += detector.step(dataclasses.replace(take(after, part), flags=FLAG_AIRBAG)).impacts
+    assert sum("airbag deployed" in one.reasons for one in impacts) == 1
+
+
+def test_an_airbag_flag_of_long_ago_says_nothing_of_a_later_accident():
+    motion = drive((20.0, -6.0, 0.0, 0.0, 0.12), seconds=24.0)
+    detector = ImpactDetector()
+    halves = np.array_split(np.arange(len(motion.t_ns)), [200])
+    impacts = [
+        one
+        for half in halves
+        for one in detector.step(dataclasses.replace(take(motion, half), flags=FLAG_AIRBAG)).impacts
+    ]
+    assert impacts
+    assert not any("airbag deployed" in one.reasons for one in impacts)
+
+
 def test_what_a_cars_tyres_can_bring_about_is_an_impact_of_a_truck():
     push = drive((IMPACT_S, -3.2, 0.0, 0.0, 0.5))
     assert find(push, for_vehicle("car")) == []

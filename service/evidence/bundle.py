@@ -98,6 +98,7 @@ def from_bytes(data: bytes) -> Bundle:
             members = {name: archive.read(name) for name in archive.namelist()}
         manifest = json.loads(members.pop(MANIFEST))
         told, listed = str(manifest["sha256"]), dict(manifest["members"])
+    # zipfile raises the last two for a compression that it does not know, and for a member under a password.
     except (zipfile.BadZipFile, ValueError, KeyError, TypeError, NotImplementedError, RuntimeError) as error:
         raise BundleError(f"this is no bundle of evidence, or it is damaged: {error}") from error
     if manifest.get("format") != FORMAT:

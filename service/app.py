@@ -17,6 +17,7 @@ from service.api import (
     calibration_runs,
     calibrations,
     docs,
+    erasure_requests,
     events,
     health,
     manoeuvres,
@@ -83,6 +84,7 @@ def create_app(settings: Settings, runtime: Runtime | None = None) -> FastAPI:
         accident_candidates,
         accident_evidence,
         reviews,
+        erasure_requests,
         events,
         webhook_endpoints,
     ):

@@ -85,7 +85,13 @@ def periods(count: int, rng: random.Random | None = None) -> Iterator[tuple[int,
         yield from_ns, from_ns + length_ns
 
 
-def measure(url: str | None = None, tell: Callable[[int, int], None] | None = None) -> dict[str, Any]:
+def measure(
+    url: str | None = None,
+    tell: Callable[[int, int], None] | None = None,
+    *,
+    trips_in_all: int = TRIPS,
+    queries: int = QUERIES,
+) -> dict[str, Any]:
     """Milliseconds of reading the record of a period, with and without cells; ``url`` is an empty database."""
     with _database(url) as engine:
         schema.upgrade(engine)
@@ -93,28 +99,33 @@ def measure(url: str | None = None, tell: Callable[[int, int], None] | None = No
             tenants.ensure(connection, tenants.DEFAULT_TENANT)
             pk = vehicles.put(connection, tenants.DEFAULT_TENANT, "many-trips", VehicleConfig()).ref.pk
             begin = time.perf_counter()
-            seed(connection, pk)
+            seed(connection, pk, trips_in_all)
             seeded_s = time.perf_counter() - begin
         gc.freeze()  # as the service does: see service.cli.serve
-        found: dict[str, Any] = {"database": engine.dialect.name, "trips": TRIPS, "years": YEARS, "queries": QUERIES}
+        found: dict[str, Any] = {
+            "database": engine.dialect.name,
+            "trips": trips_in_all,
+            "years": YEARS,
+            "queries": queries,
+        }
         for cells in (False, True):
             spent = []
-            for number, (from_ns, to_ns) in enumerate(periods(QUERIES)):
+            for number, (from_ns, to_ns) in enumerate(periods(queries)):
                 begin = time.perf_counter()
                 with read(engine) as connection:
                     records.of_period(connection, pk, from_ns, to_ns, cells=cells)
                 spent.append(1e3 * (time.perf_counter() - begin))
                 if tell is not None:
-                    tell(number + cells * QUERIES, 2 * QUERIES)
+                    tell(number + cells * queries, 2 * queries)
             name = "with_cells_ms" if cells else "ms"
             found[name] = {f"p{share}": float(np.percentile(spent, share)) for share in (50, 99)}
-        found["put_ms"] = _putting_ms(engine, pk)
+        found["put_ms"] = _putting_ms(engine, pk, trips_in_all)
         return found | {"at_most_ms": AT_MOST_MS, "seeded_s": round(seeded_s, 1)}
 
 
-def _putting_ms(engine: Engine, vehicle_pk: int) -> dict[str, float]:
+def _putting_ms(engine: Engine, vehicle_pk: int, trips_in_all: int) -> dict[str, float]:
     rng, spent = random.Random(3), []
-    for number in rng.sample(range(TRIPS), 50):
+    for number in rng.sample(range(trips_in_all), 50):
         with write(engine) as connection:
             row = records.find(connection, f"{vehicle_pk}-{number}")
             assert row is not None

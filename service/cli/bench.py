@@ -27,6 +27,7 @@ from service.bench import (
     navigation_report,
     report,
     roads,
+    score_queries,
     stages,
 )
 from service.bench.fleet import record_drives
@@ -83,6 +84,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         " in simulation and on recordings; the paper's rule on the same input; beside what is asked of each",
     )
     instead.add_argument(
+        "--score-queries",
+        action="store_true",
+        help="measure how long the record of any period takes to be read, of a vehicle with"
+        f" {score_queries.TRIPS} trips over {score_queries.YEARS} years, on SQLite and on --database-url",
+    )
+    instead.add_argument(
         "--driving",
         action="store_true",
         help="measure the driving manoeuvres instead: what is found of those of labelled trips, and what beside them",
@@ -122,6 +129,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         " recorded drives are (default: ../shared/drives beside the checkout;"
         " the part 'real' is left out where there are none)",
     )
+    parser.add_argument(
+        "--database-url",
+        metavar="URL",
+        help="with --score-queries: an empty PostgreSQL database as well, postgresql+psycopg://…; it is filled",
+    )
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
     parser.add_argument(
         "--to",
@@ -140,6 +152,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure; 1 if a packet was lost or taken twice, or an alert did not come."""
     if arguments.recordings is not None and not (arguments.calibration or arguments.accidents or arguments.driving):
         raise UsageError("--recordings is for --calibration, --accidents and --driving; expected one of these")
+    if arguments.database_url is not None and not arguments.score_queries:
+        raise UsageError("--database-url is for --score-queries; expected it beside it")
     if arguments.km is not None and not arguments.accidents:
         raise UsageError("--km is for --accidents; expected --accidents beside it")
     if arguments.kernel:
@@ -148,6 +162,13 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.belief:
         fused = belief.measure()
         print(json.dumps(fused) if arguments.json else belief.lines(fused))
+        return 0
+    if arguments.score_queries:
+        queried = []
+        for url in (None, *([] if arguments.database_url is None else [arguments.database_url])):
+            with Progress("SQLite" if url is None else "PostgreSQL", 2 * score_queries.QUERIES) as progress:
+                queried.append(score_queries.measure(url, lambda done, _: progress.update(done)))
+        print(json.dumps(queried) if arguments.json else "\n".join(map(score_queries.lines, queried)))
         return 0
     if arguments.navigation:
         with Phases() as phases:

@@ -167,19 +167,20 @@ def total(records: Iterable[Record]) -> Record:
 
 
 def total_of_json(told: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """What ``to_json`` would tell of the sum of records, from what it told of each: without making them, ten times as
+    """What ``to_json`` would tell of the sum of records, from what it told of each: without making them, several times as
     fast. Takes what it is given to pieces."""
     whole: dict[str, Any] = {}
-    pieces: dict[str, tuple[Evidence, ...]] = {}
+    pieces: dict[str, set[tuple[int, str, str]]] = {}
     max_excess_mmps = 0
     for one in told:
         for about, found in one.pop("evidence", {}).items():
-            pieces[about] = _heaviest(pieces.get(about, ()), tuple(Evidence(*piece) for piece in found))
+            pieces.setdefault(about, set()).update((weight, kind, one) for weight, kind, one in found)
         max_excess_mmps = max(max_excess_mmps, one.get("speeding", {}).get("max_excess_mmps", 0))
         _add_to(whole, one)
     if "speeding" in whole:
         whole["speeding"]["max_excess_mmps"] = max_excess_mmps
-    return whole | ({"evidence": {about: [list(one) for one in found] for about, found in pieces.items()}})
+    heaviest = {about: _heaviest(tuple(Evidence(*one) for one in found), ()) for about, found in pieces.items()}
+    return whole | {"evidence": {about: [list(one) for one in found] for about, found in heaviest.items()}}
 
 
 def _add_to(whole: dict[str, Any], part: dict[str, Any]) -> None:

@@ -99,7 +99,10 @@ class Settings(BaseSettings):
         description="Days that packets are kept as they came; 0 is for ever. None goes that is still needed.",
     )
     retention_track_days: int = Field(
-        default=365, ge=0, description="Days that the fused track is kept; 0 is for ever."
+        default=365,
+        ge=0,
+        description="Days that the fused track is kept, and the places of manoeuvres; 0 is for ever. Records of trips stay: "
+        "they know no places but H3 cells and districts.",
     )
     retention_events_days: int = Field(
         default=90, ge=0, description="Days that events and their deliveries can be read again; 0 is for ever."

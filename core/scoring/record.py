@@ -167,14 +167,16 @@ def total(records: Iterable[Record]) -> Record:
 
 
 def total_of_json(told: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """What ``to_json`` would tell of the sum of records, from what it told of each: without making them, several times as
-    fast. Takes what it is given to pieces."""
+    """What ``to_json`` would tell of the sum of records, from what it told of each.
+
+    Several times as fast as making and adding them; takes what it is given to pieces.
+    """
     whole: dict[str, Any] = {}
     pieces: dict[str, set[tuple[int, str, str]]] = {}
     max_excess_mmps = 0
     for one in told:
         for about, found in one.pop("evidence", {}).items():
-            pieces.setdefault(about, set()).update((weight, kind, one) for weight, kind, one in found)
+            pieces.setdefault(about, set()).update((weight, kind, of) for weight, kind, of in found)
         max_excess_mmps = max(max_excess_mmps, one.get("speeding", {}).get("max_excess_mmps", 0))
         _add_to(whole, one)
     if "speeding" in whole:

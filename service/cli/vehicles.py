@@ -27,7 +27,7 @@ TRIPLES: Final = {
 }
 """Settings of three numbers with their columns, which stand together or not at all."""
 
-SINGLES: Final = ("gnss_time_offset_s", "accel_full_scale_mps2", "vehicle_class", "detector")
+SINGLES: Final = ("gnss_time_offset_s", "accel_full_scale_mps2", "vehicle_class", "detector", "time_zone")
 
 COLUMNS: Final = ("vehicle_id", *(column for triple in TRIPLES.values() for column in triple), *SINGLES)
 

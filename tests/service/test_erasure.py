@@ -6,6 +6,7 @@ import time
 from datetime import UTC, datetime
 
 import pytest
+from google.protobuf.internal.encoder import _VarintBytes
 from sqlalchemy import func, select
 
 from core.scoring.record import Record
@@ -19,6 +20,7 @@ from tests.service.fleet_drives import trips as drives
 from tests.service.trip_harness import MOUNTED
 
 WAIT_S = 120.0
+AT_ONCE = 64
 TIMES = ("t_ns", "start_ns", "start_t_ns", "valid_from_ns")
 """Columns that say when something was; others say when it was stored."""
 STAYS = {"vehicles", "checkpoints", "erasure_requests"}
@@ -61,12 +63,15 @@ class Car:
         self.sent = 0
 
     def send(self, parts):
-        for part in parts:
-            self.sent += 1
-            packet = encode_packet(self.name, "b", self.sent, part, period_ns=round(S / RATE_HZ), wide=True)
+        for first in range(0, len(parts), AT_ONCE):
+            body = b""
+            for part in parts[first : first + AT_ONCE]:
+                self.sent += 1
+                packet = encode_packet(self.name, "b", self.sent, part, period_ns=round(S / RATE_HZ), wide=True)
+                message = packet.SerializeToString()
+                body += _VarintBytes(len(message)) + message
             headers = {"Content-Type": "application/x-protobuf"}
-            body = packet.SerializeToString()
-            answer = self.http.post(f"/v1/vehicles/{self.name}/telemetry", content=body, headers=headers)
+            answer = self.http.post("/v1/telemetry", content=body, headers=headers)
             assert answer.status_code == 202, answer.text
         assert self.service.runtime.engine.drain(WAIT_S)
 

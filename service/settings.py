@@ -101,8 +101,8 @@ class Settings(BaseSettings):
     retention_track_days: int = Field(
         default=365,
         ge=0,
-        description="Days that the fused track is kept, and the places of manoeuvres; 0 is for ever. Records of trips stay: "
-        "they know no places but H3 cells and districts.",
+        description="Days that the fused track is kept, and the places of manoeuvres; 0 is for ever. Records of trips "
+        "stay: they know no places but H3 cells and districts.",
     )
     retention_events_days: int = Field(
         default=90, ge=0, description="Days that events and their deliveries can be read again; 0 is for ever."

@@ -6,7 +6,6 @@ import time
 from datetime import UTC, datetime
 
 import pytest
-from google.protobuf.internal.encoder import _VarintBytes
 from sqlalchemy import func, select
 
 from core.scoring.record import Record
@@ -51,6 +50,10 @@ def rfc3339(t_ns):
     return datetime.fromtimestamp(t_ns / 1e9, UTC).isoformat()
 
 
+def varint(value):
+    return bytes([value]) if value < 0x80 else bytes([value & 0x7F | 0x80]) + varint(value >> 7)
+
+
 class Car:
     """A registered car that sends over HTTP and whose trips are waited for."""
 
@@ -69,7 +72,7 @@ class Car:
                 self.sent += 1
                 packet = encode_packet(self.name, "b", self.sent, part, period_ns=round(S / RATE_HZ), wide=True)
                 message = packet.SerializeToString()
-                body += _VarintBytes(len(message)) + message
+                body += varint(len(message)) + message
             headers = {"Content-Type": "application/x-protobuf"}
             answer = self.http.post("/v1/telemetry", content=body, headers=headers)
             assert answer.status_code == 202, answer.text

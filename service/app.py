@@ -20,6 +20,7 @@ from service.api import (
     events,
     health,
     problems,
+    rating,
     reviews,
     trips,
     vehicles,
@@ -82,6 +83,7 @@ def create_app(settings: Settings, runtime: Runtime | None = None) -> FastAPI:
         accident_evidence,
         reviews,
         events,
+        rating,
         webhook_endpoints,
     ):
         v1.include_router(module.router)

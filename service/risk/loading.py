@@ -36,20 +36,25 @@ def vehicle_model() -> VehicleModel:
 
 
 def own_tables(path: Path) -> RiskTables:
-    """A user's tables: on their own, or with ``extends`` on top of a preset."""
+    """A user's tables in a file; raises UsageError that names it."""
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tables_from(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
-        raise UsageError(f"{path}: is no TOML: {error}; expected tables as in 'telefuse risk tables'") from error
+        raise UsageError(f"{path}: {error}") from None
+
+
+def tables_from(text: str) -> RiskTables:
+    """A user's tables in TOML: on their own, or with ``extends`` on top of a preset; raises InvalidInputError."""
+    try:
+        document = tomllib.loads(text)
+    except ValueError as error:
+        raise InvalidInputError(f"is no TOML: {error}; expected tables as in 'telefuse risk tables'") from error
     base = document.get("extends")
     if base is not None and base not in PRESETS:
-        raise UsageError(f"{path}: extends {base!r}; expected one of {', '.join(PRESETS)}")
-    try:
-        return tables_of(document, None if base is None else preset_tables(base))
-    except InvalidInputError as error:
-        raise UsageError(f"{path}: {error}") from None
+        raise InvalidInputError(f"extends {base!r}; expected one of {', '.join(PRESETS)}")
+    return tables_of(document, None if base is None else preset_tables(base))
 
 
 def shipped_text(name: str) -> str:

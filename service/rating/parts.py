@@ -1,0 +1,67 @@
+"""The parts that rating goes by, and how each is read from its TOML."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Final
+
+from sqlalchemy import Connection
+
+from service.risk import loading as risk
+from service.storage import rating
+
+
+class Part(StrEnum):
+    """What a tenant may have of its own."""
+
+    RISK_TABLES = "risk-tables"
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """How a part is shipped and read; ``read`` raises InvalidInputError that says what is wrong and where."""
+
+    shipped: Callable[[], str]
+    read: Callable[[str], Any]
+
+
+KINDS: Final[Mapping[Part, Kind]] = {
+    Part.RISK_TABLES: Kind(lambda: risk.shipped_text(risk.PRESETS[0]), risk.tables_from),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Holding:
+    """The version of a part that holds for a tenant: 0, and as shipped, where it has none of its own."""
+
+    part: Part
+    version: int
+    text: str
+    own: bool
+    created_ns: int | None = None
+    created_by: str | None = None
+
+    @property
+    def sha256(self) -> str:
+        """Of the text."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+    def read(self) -> Any:
+        """What the text says: risk tables, a score model, a tariff."""
+        return KINDS[self.part].read(self.text)
+
+
+def holding(connection: Connection, tenant_id: str, part: Part, version: int | None = None) -> Holding | None:
+    """What a tenant rates by, now or as of a version; None where it never had that version."""
+    row = (
+        rating.newest(connection, tenant_id, part)
+        if version is None
+        else rating.find(connection, tenant_id, part, version)
+    )
+    if row is None:
+        return None if version else Holding(part, 0, KINDS[part].shipped(), own=False)
+    text = KINDS[part].shipped() if row.text is None else row.text
+    return Holding(part, row.version, text, row.text is not None, row.created_ns, row.created_by)

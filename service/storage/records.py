@@ -1,0 +1,228 @@
+"""Records of trips and their sums by day, month and year, so that a year costs no more to ask for than a month."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from datetime import date
+from enum import StrEnum
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, and_, bindparam, delete, insert, or_, select, text, update
+
+from core.scoring.record import Record, total
+from service.local_days import DEFAULT_ZONE, cover, day_of, month_of, next_month, next_year, year_of
+from service.storage.statements import insert_into
+from service.storage.tables import record_rollups, trip_records
+
+_ROLLUPS_LOCK = 0x5C0E
+"""PostgreSQL's lock under which a vehicle's sums are changed by one at a time; any fixed number would do."""
+
+
+class Period(StrEnum):
+    """By what records are summed."""
+
+    DAY = "day"
+    MONTH = "month"
+    YEAR = "year"
+
+
+@dataclass(frozen=True, slots=True)
+class TripRecord:
+    """What a trip adds to scores; ``timeline`` is ``service.trips.timeline``'s."""
+
+    trip_id: str
+    vehicle_pk: int
+    start_ns: int
+    record: Record
+    timeline: bytes
+    model_sha256: str
+    assessed_ns: int
+
+
+def put(connection: Connection, row: TripRecord, *, zone: str = DEFAULT_ZONE) -> None:
+    """Store a trip's record in the place of an earlier one, and bring the sums that it is part of up to date.
+
+    ``zone`` is the vehicle's, by which its days are told apart.
+    """
+    _lock(connection, row.vehicle_pk)
+    day = day_of(row.start_ns, zone)
+    before = connection.execute(select(trip_records.c.day).where(trip_records.c.trip_id == row.trip_id)).scalar()
+    values = {
+        "trip_id": row.trip_id,
+        "vehicle_pk": row.vehicle_pk,
+        "start_ns": row.start_ns,
+        "day": day,
+        "record": row.record.to_json(cells=False),
+        "cells": dict(row.record.cells),
+        "timeline": row.timeline,
+        "model_sha256": row.model_sha256,
+        "assessed_ns": row.assessed_ns,
+    }
+    statement = insert_into(connection, trip_records).values(values)
+    connection.execute(
+        statement.on_conflict_do_update(
+            index_elements=[trip_records.c.trip_id],
+            set_={name: statement.excluded[name] for name in values if name != "trip_id"},
+        )
+    )
+    _sum_up(connection, row.vehicle_pk, {day} if before is None else {day, before}, zone)
+
+
+def remove(
+    connection: Connection, vehicle_pk: int, *trips: ColumnElement[bool], zone: str = DEFAULT_ZONE
+) -> int:
+    """Remove the records of a vehicle's trips of which all of ``trips`` hold, and take them out of the sums.
+
+    Conditions are on ``trip_records``; returns how many went.
+    """
+    _lock(connection, vehicle_pk)
+    mine = and_(trip_records.c.vehicle_pk == vehicle_pk, *trips)
+    days = connection.scalars(delete(trip_records).where(mine).returning(trip_records.c.day)).all()
+    _sum_up(connection, vehicle_pk, set(days), zone)
+    return len(days)
+
+
+def find(connection: Connection, trip_id: str) -> TripRecord | None:
+    """The record of a trip."""
+    row = connection.execute(select(trip_records).where(trip_records.c.trip_id == trip_id)).one_or_none()
+    if row is None:
+        return None
+    told = {name: getattr(row, name) for name in TripRecord.__slots__ if name != "record"}
+    return TripRecord(record=_record(row.record, row.cells), **told)
+
+
+def of_period(
+    connection: Connection,
+    vehicle_pk: int,
+    from_ns: int,
+    to_ns: int,
+    *,
+    zone: str = DEFAULT_ZONE,
+    cells: bool = False,
+) -> Record:
+    """The sum of the records of a vehicle's trips that began from one instant up to another.
+
+    Whole years, months and days of ``zone``, the vehicle's, come from their sums. Without ``cells`` there are none.
+    """
+    parts = cover(from_ns, to_ns, zone)
+    wanted = [
+        and_(record_rollups.c.period == period, record_rollups.c.begin >= begin, record_rollups.c.begin < end)
+        for period, spans in ((Period.YEAR, parts.years), (Period.MONTH, parts.months), (Period.DAY, parts.days))
+        for begin, end in spans
+    ]
+    edges = parts.edges_ns
+    found: list[Record] = []
+    if wanted:
+        columns = [record_rollups.c[name] for name in ("zone", "record", *(("cells",) if cells else ()))]
+        chosen = select(*columns).where(record_rollups.c.vehicle_pk == vehicle_pk, or_(*wanted))
+        rows = connection.execute(chosen).all()
+        if all(row.zone == zone for row in rows):
+            found = [_record(*row[1:]) for row in rows]
+        else:  # the vehicle was given another time zone just now: ``rebuild`` is still to come
+            edges = ((from_ns, to_ns),)
+    return total([*found, *_by_day(connection, vehicle_pk, edges, zone, cells)])
+
+
+def bounds_ns(connection: Connection, vehicle_pk: int) -> tuple[int, int] | None:
+    """When the first and the last of a vehicle's trips with a record began; None where there is none."""
+    mine = select(trip_records.c.start_ns).where(trip_records.c.vehicle_pk == vehicle_pk).limit(1)
+    oldest = connection.execute(mine.order_by(trip_records.c.start_ns)).scalar()
+    newest = connection.execute(mine.order_by(trip_records.c.start_ns.desc())).scalar()
+    return None if oldest is None or newest is None else (oldest, newest)
+
+
+def rebuild(connection: Connection, vehicle_pk: int, *, zone: str = DEFAULT_ZONE) -> None:
+    """Sum up all of a vehicle's records anew, by the days of a time zone."""
+    _lock(connection, vehicle_pk)
+    connection.execute(delete(record_rollups).where(record_rollups.c.vehicle_pk == vehicle_pk))
+    table, mine = trip_records, trip_records.c.vehicle_pk == vehicle_pk
+    rows = connection.execute(select(table.c.trip_id, table.c.start_ns, table.c.day).where(mine)).all()
+    days = {trip_id: day_of(start_ns, zone) for trip_id, start_ns, _ in rows}
+    moved = [{"of": trip_id, "to": days[trip_id]} for trip_id, _, day in rows if day != days[trip_id]]
+    if moved:
+        statement = update(table).where(table.c.trip_id == bindparam("of")).values(day=bindparam("to"))
+        connection.execute(statement, moved)
+    _sum_up(connection, vehicle_pk, set(days.values()), zone)
+
+
+def zones(connection: Connection) -> list[tuple[int, str]]:
+    """Vehicles with the time zones by which their records are summed."""
+    chosen = select(record_rollups.c.vehicle_pk, record_rollups.c.zone).where(record_rollups.c.period == Period.YEAR)
+    return [(pk, zone) for pk, zone in connection.execute(chosen.distinct())]
+
+
+def _lock(connection: Connection, vehicle_pk: int) -> None:
+    # Two that sum up a vehicle's day at once would each miss what the other adds. SQLite has one writer anyway.
+    if connection.dialect.name == "postgresql":
+        key = {"one": _ROLLUPS_LOCK, "two": vehicle_pk % (1 << 31)}
+        connection.execute(text("SELECT pg_advisory_xact_lock(:one, :two)"), key)
+
+
+def _sum_up(connection: Connection, vehicle_pk: int, days: set[date], zone: str) -> None:
+    """Make the sums anew that some days are part of, each from what is below it."""
+    if not days:
+        return
+    by_day: dict[date, list[Record]] = defaultdict(list)
+    mine = trip_records.c.vehicle_pk == vehicle_pk
+    chosen = select(trip_records.c.day, trip_records.c.record, trip_records.c.cells)
+    for row in connection.execute(chosen.where(mine, trip_records.c.day.in_(days)).order_by(trip_records.c.start_ns)):
+        by_day[row.day].append(_record(row.record, row.cells))
+    sums = {day: replace(total(by_day[day]), days=1) if by_day[day] else None for day in days}
+    _keep(connection, vehicle_pk, Period.DAY, sums, zone)
+    months = {month_of(day) for day in days}
+    sums = {month: _below(connection, vehicle_pk, Period.DAY, month, next_month(month)) for month in months}
+    _keep(connection, vehicle_pk, Period.MONTH, sums, zone)
+    years = {year_of(day) for day in days}
+    sums = {year: _below(connection, vehicle_pk, Period.MONTH, year, next_year(year)) for year in years}
+    _keep(connection, vehicle_pk, Period.YEAR, sums, zone)
+
+
+def _below(connection: Connection, vehicle_pk: int, period: Period, begin: date, end: date) -> Record | None:
+    table = record_rollups
+    chosen = select(table.c.record, table.c.cells).where(
+        table.c.vehicle_pk == vehicle_pk, table.c.period == period, table.c.begin >= begin, table.c.begin < end
+    )
+    parts = [_record(*row) for row in connection.execute(chosen.order_by(table.c.begin))]
+    return total(parts) if parts else None
+
+
+def _keep(
+    connection: Connection, vehicle_pk: int, period: Period, sums: Mapping[date, Record | None], zone: str
+) -> None:
+    table = record_rollups
+    mine = and_(table.c.vehicle_pk == vehicle_pk, table.c.period == period, table.c.begin.in_(list(sums)))
+    connection.execute(delete(table).where(mine))
+    rows = [
+        {
+            "vehicle_pk": vehicle_pk,
+            "period": period,
+            "begin": begin,
+            "zone": zone,
+            "record": record.to_json(cells=False),
+            "cells": dict(record.cells),
+        }
+        for begin, record in sorted(sums.items())
+        if record is not None
+    ]
+    if rows:
+        connection.execute(insert(table), rows)
+
+
+def _by_day(
+    connection: Connection, vehicle_pk: int, spans_ns: Iterable[tuple[int, int]], zone: str, cells: bool
+) -> list[Record]:
+    """Sums of single trips by their days; a day counts as one, however little of it is asked for."""
+    spans = [and_(trip_records.c.start_ns >= begin, trip_records.c.start_ns < end) for begin, end in spans_ns]
+    if not spans:
+        return []
+    columns = [trip_records.c[name] for name in ("start_ns", "record", *(("cells",) if cells else ()))]
+    by_day: dict[date, list[Record]] = defaultdict(list)
+    for row in connection.execute(select(*columns).where(trip_records.c.vehicle_pk == vehicle_pk, or_(*spans))):
+        by_day[day_of(row.start_ns, zone)].append(_record(*row[1:]))
+    return [replace(total(records), days=1) for records in by_day.values()]
+
+
+def _record(told: Mapping[str, Any], cells: Mapping[str, Any] | None = None) -> Record:
+    return Record.from_json(told if cells is None else {**told, "cells": cells})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, insert, select
+from sqlalchemy import Connection, func, insert, select
 
 from service.storage.tables import rating_documents
 
@@ -24,6 +24,12 @@ def newest(connection: Connection, tenant_id: str, part: str) -> RatingRow | Non
     """The version that holds; None where the tenant never had its own."""
     rows = page(connection, tenant_id, part, None, 1)
     return rows[0] if rows else None
+
+
+def newest_version(connection: Connection, tenant_id: str, part: str) -> int:
+    """The version that holds; 0 where the tenant never had its own."""
+    mine = rating_documents.c.tenant_id == tenant_id, rating_documents.c.part == part
+    return connection.execute(select(func.max(rating_documents.c.version)).where(*mine)).scalar() or 0
 
 
 def find(connection: Connection, tenant_id: str, part: str, version: int) -> RatingRow | None:

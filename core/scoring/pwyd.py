@@ -1,0 +1,74 @@
+"""PWYD, where: expected claims by the classes of roads, and by the cells or districts that are driven in."""
+
+from __future__ import annotations
+
+from core.driving.exposure import Facet as Exposed
+from core.scoring.facets import Facet, facet_part, known_share
+from core.scoring.model import FacetRisk, ScoreModel
+from core.scoring.places import Places
+from core.scoring.record import Record
+from core.scoring.score import Basis, Product, Score, checked_days, nothing_driven
+
+
+def pwyd(record: Record, days: float, model: ScoreModel, places: Places | None = None) -> Score:
+    """PWYD score of a period; a product of facets.
+
+    A place counts once: by its cell where the portfolio's own figures know that, and for the share of the distance
+    where they do not, by its district, whose exponent is that share. What has no relativity counts as the portfolio's
+    mean.
+
+    Raises
+    ------
+    InvalidInputError
+        If the period is none, or the record is of more days than it has.
+    """
+    days = checked_days(record, days)
+    sha256 = None if places is None else places.sha256
+    if reason := nothing_driven(record):
+        return Basis(Product.PWYD, record, days, model, sha256).unscored(reason)
+    roads = record.exposure.by.get(Exposed.ROAD_CLASS, {})
+    districts = record.exposure.by.get(Exposed.DISTRICT, {})
+    cell_risk = {} if places is None else places.relativity
+    total_mm = record.exposure.total.distance_mm
+    coverage = {
+        "road_class": known_share(roads, model.road_class.relativity, total_mm),
+        "district": known_share(districts, model.district.relativity, total_mm),
+        "cell": known_share(record.cells, cell_risk, total_mm),
+    }
+    basis = Basis(Product.PWYD, record, days, model, sha256, coverage)
+    if not any(coverage.values()):
+        return basis.unscored("no class of road, district or cell of it is known")
+    parts = [facet_part(_facet(model.road_class, "road_class", "road", model.told), roads, record)]
+    if model.district.relativity:
+        rest = 1.0 - coverage["cell"]
+        parts.append(facet_part(_facet(model.district, "district", "district", model.told, rest), districts, record))
+    if places is not None:
+        cells = Facet(
+            relativity=cell_risk,
+            sd=places.sd,
+            share={},
+            group=lambda cell: (f"cell:{cell}", f"area {cell}"),
+            others=("cell:others", "other areas"),
+            shape=model.cell_shape,
+            unit_km=model.cell_unit_km,
+            told=model.told,
+        )
+        parts.append(facet_part(cells, record.cells, record))
+    return basis.scored(parts)
+
+
+def _facet(risk: FacetRisk, name: str, label: str, told: int, weight: float = 1.0) -> Facet:
+    def group(one: str) -> tuple[str, str]:
+        return f"{name}:{risk.groups[one]}", f"{label} {risk.groups[one].replace('_', ' ')}"
+
+    return Facet(
+        relativity=risk.relativity,
+        sd={},
+        share=risk.share,
+        group=group,
+        others=(f"{name}:others", f"other {label}s"),
+        shape=risk.shape,
+        unit_km=risk.unit_km,
+        told=told,
+        weight=weight,
+    )

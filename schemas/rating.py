@@ -11,7 +11,7 @@ from schemas.times import Time
 class RatingVersion(Model):
     """One version of a part; the newest holds."""
 
-    part: str = Field(description="risk-tables, score-model or tariff")
+    part: str = Field(description="risk-tables, score-model, tariff or places")
     version: int = Field(description="0: as shipped, nothing of one's own was ever put")
     own: bool = Field(description="false: the one that is shipped")
     sha256: str = Field(description="Of the text")

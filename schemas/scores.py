@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from pydantic import Field
 
 from schemas.model import Model, VehicleId
@@ -39,8 +37,8 @@ class ScoreContribution(Model):
 class ScorePeriod(Model):
     """What was asked for, and how much of it was observed."""
 
-    from_at: Time = Field(serialization_alias="from")
-    to_at: Time = Field(serialization_alias="to", description="Trips that began before it.")
+    start_at: Time
+    end_at: Time = Field(description="Trips count that began before it.")
     observed_from: Time | None = Field(
         description="The day of the vehicle's first trip, if that is later. Null without one."
     )
@@ -85,12 +83,3 @@ class ProductScores(Model):
 
     vehicle_id: VehicleId
     scores: dict[str, ProductScore]
-
-
-class QuoteStep(Model):
-    """One step from the base premium to the premium."""
-
-    name: str
-    factor: float | None = None
-    amount: str
-    detail: dict[str, Any] = {}

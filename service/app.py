@@ -22,6 +22,7 @@ from service.api import (
     problems,
     rating,
     reviews,
+    scores,
     trips,
     vehicles,
     webhook_endpoints,
@@ -83,6 +84,7 @@ def create_app(settings: Settings, runtime: Runtime | None = None) -> FastAPI:
         accident_evidence,
         reviews,
         events,
+        scores,
         rating,
         webhook_endpoints,
     ):

@@ -26,6 +26,7 @@ from service.ingest.journal import Journal
 from service.ingest.receiver import Receiver
 from service.ingest.zenoh import ZenohIngest
 from service.observability import Metrics
+from service.rating.scoring import Reading
 from service.roads.matching import RoadService
 from service.settings import Settings
 from service.storage import retention, schema
@@ -63,11 +64,13 @@ class Runtime:
     proving: EvidenceWorker
     roads: RoadService
     zenoh: ZenohIngest
+    reading: Reading
     _sending: asyncio.Task[None]
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.metrics = Metrics()
+        self.reading = Reading()
         self._running = AsyncExitStack()
         self._started = False
 

@@ -1,4 +1,4 @@
-"""What a tenant rates by: risk tables, score model and tariff, as shipped or its own."""
+"""What a tenant rates by: risk tables, score model, tariff and risk of places, as shipped or its own."""
 
 from __future__ import annotations
 
@@ -16,25 +16,24 @@ from service.api.dependencies import Database
 from service.api.pagination import Page, encode_cursor, link_next
 from service.api.security import Principal, require
 from service.errors import InvalidParameterError, NotFoundError, TooLargeError, UnsupportedMediaTypeError
-from service.rating.parts import KINDS, Holding, Part, holding
+from service.rating.parts import JSON, KINDS, TOML, Holding, Part, holding
 from service.storage import audit, rating, tenants
 from service.storage.database import read, write
 from service.storage.rating import RatingRow
 
 router = APIRouter(tags=["scores"])
 
-TOML: Final = "application/toml"
-_TAKEN: Final = (TOML, "text/plain", "text/toml")
-MOST_BYTES: Final = 262_144
-"""A table with a row for each of a country's municipalities is some 100 kB; a choice."""
+_TAKEN: Final = {TOML: (TOML, "text/toml", "text/plain"), JSON: (JSON,)}
+MOST_BYTES: Final = 4 * 2**20
+"""The risk of 100 000 cells; a choice."""
 
 Reader = Annotated[Principal, Depends(require("scores:read"))]
 Admin = Annotated[Principal, Depends(require("admin"))]
-_TEXT: Final = {"content": {TOML: {"schema": {"type": "string"}}}}
+_TEXT: Final = {"content": {TOML: {"schema": {"type": "string"}}, JSON: {"schema": {"type": "object"}}}}
 PUT_RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
     412: {"model": Problem, "description": "Changed meanwhile"},
     413: {"model": Problem, "description": "Larger than is taken"},
-    415: {"model": Problem, "description": "Not TOML"},
+    415: {"model": Problem, "description": "Not TOML, or of places not JSON"},
 }
 
 
@@ -46,7 +45,9 @@ def list_rating(request: Request, caller: Reader, engine: Database) -> Response:
     return answer(request, RatingParts(parts=[_shown(one) for one in held]))
 
 
-@router.get("/rating/{part}", responses={200: {"description": "TOML", **_TEXT}}, response_class=Response)
+@router.get(
+    "/rating/{part}", responses={200: {"description": "TOML; places are JSON", **_TEXT}}, response_class=Response
+)
 def get_rating(
     request: Request,
     part: Part,
@@ -62,7 +63,9 @@ def get_rating(
     if held is None:
         raise NotFoundError(f"there is no version {version} of {part}; GET /v1/rating/{part}/versions lists them")
     headers = {"X-Rating-Version": str(held.version)}
-    return answer_content(request, held.text.encode(), media_type=f"{TOML}; charset=utf-8", headers=headers)
+    return answer_content(
+        request, held.text.encode(), media_type=f"{KINDS[part].media_type}; charset=utf-8", headers=headers
+    )
 
 
 @router.get("/rating/{part}/versions", response_model=RatingHistory)
@@ -82,7 +85,7 @@ def list_rating_versions(request: Request, part: Part, caller: Reader, engine: D
     "/rating/{part}",
     response_model=RatingVersion,
     responses=PUT_RESPONSES,
-    openapi_extra={"requestBody": {"required": True, "description": "At most 256 KiB.", **_TEXT}},
+    openapi_extra={"requestBody": {"required": True, "description": "At most 4 MiB.", **_TEXT}},
 )
 async def put_rating(
     request: Request, part: Part, caller: Admin, engine: Database, if_match: IfMatch = None
@@ -93,8 +96,9 @@ async def put_rating(
     those were is told with each.
     """
     kind = (request.headers.get("content-type") or "").partition(";")[0].strip().lower()
-    if kind not in _TAKEN:
-        raise UnsupportedMediaTypeError(f"the body is {kind or 'of no type'}; expected {TOML}")
+    wanted = KINDS[part].media_type
+    if kind not in _TAKEN[wanted]:
+        raise UnsupportedMediaTypeError(f"the body is {kind or 'of no type'}; expected {wanted}")
     text = await _text(request)
     return await run_in_threadpool(_put, request, part, text, caller, engine, if_match)
 
@@ -114,7 +118,7 @@ async def _text(request: Request) -> str:
     try:
         return content.decode()
     except UnicodeDecodeError as error:
-        raise InvalidParameterError(f"body: is no UTF-8 text at byte {error.start}; expected TOML") from None
+        raise InvalidParameterError(f"body: is no UTF-8 text at byte {error.start}") from None
 
 
 def _put(

@@ -31,7 +31,9 @@ def asked(
         str | None,
         Query(description="Trips that began before this RFC 3339 time or local date; left out, the day of the last."),
     ] = None,
-    month: Annotated[str | None, Query(description="A calendar month, such as 2026-10, instead of from and to.")] = None,
+    month: Annotated[
+        str | None, Query(description="A calendar month, such as 2026-10, instead of from and to.")
+    ] = None,
     days: Annotated[
         int | None, Query(ge=1, le=3660, description="So many days up to the end, instead of from; 365 if left out.")
     ] = None,

@@ -1,8 +1,10 @@
-"""The parts that rating goes by, and how each is read from its TOML."""
+"""The parts that rating goes by, and how each is read from its text."""
 
 from __future__ import annotations
 
 import hashlib
+import json
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,27 +12,60 @@ from typing import Any, Final
 
 from sqlalchemy import Connection
 
+from core.errors import InvalidInputError
+from core.scoring.model import ScoreModel, score_model_of
+from core.scoring.places import Places, places_of
 from service.risk import loading as risk
+from service.scoring import loading as scoring
 from service.storage import rating
+
+TOML: Final = "application/toml"
+JSON: Final = "application/json"
 
 
 class Part(StrEnum):
     """What a tenant may have of its own."""
 
     RISK_TABLES = "risk-tables"
+    SCORE_MODEL = "score-model"
+    PLACES = "places"
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
     """How a part is shipped and read; ``read`` raises InvalidInputError that says what is wrong and where."""
 
+    media_type: str
     shipped: Callable[[], str]
     read: Callable[[str], Any]
 
 
+def _score_model(text: str) -> ScoreModel:
+    try:
+        document = tomllib.loads(text)
+    except ValueError as error:
+        raise InvalidInputError(f"is no TOML: {error}; expected a model as 'telefuse scores model --show'") from error
+    return score_model_of(document)
+
+
+def _places(text: str) -> Places | None:
+    try:
+        told = json.loads(text)
+    except ValueError as error:
+        raise InvalidInputError(f"is no JSON: {error}; expected shape and cells") from error
+    if told is None:
+        return None
+    if not isinstance(told, Mapping):
+        raise InvalidInputError("no places: expected shape and cells, or null")
+    return places_of(told)
+
+
 KINDS: Final[Mapping[Part, Kind]] = {
-    Part.RISK_TABLES: Kind(lambda: risk.shipped_text(risk.PRESETS[0]), risk.tables_from),
+    Part.RISK_TABLES: Kind(TOML, lambda: risk.shipped_text(risk.PRESETS[0]), risk.tables_from),
+    Part.SCORE_MODEL: Kind(TOML, lambda: scoring.shipped_text("scores"), _score_model),
+    Part.PLACES: Kind(JSON, lambda: "null\n", _places),
 }
+"""Nothing is shipped of places: what is risky where, a portfolio's own accidents say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +85,7 @@ class Holding:
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     def read(self) -> Any:
-        """What the text says: risk tables, a score model, a tariff."""
+        """What the text says: risk tables, a score model, a tariff, risk of places."""
         return KINDS[self.part].read(self.text)
 
 

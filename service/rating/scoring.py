@@ -67,7 +67,7 @@ class Reading:
 
 def zone_of(ref: VehicleRef) -> str:
     """The time zone by which a vehicle's days begin."""
-    return ref.config.time_zone or DEFAULT_ZONE
+    return getattr(ref.config, "time_zone", None) or DEFAULT_ZONE
 
 
 def scored(

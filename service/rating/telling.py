@@ -6,6 +6,8 @@ import math
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+
 from core.risk.belief import named
 from core.scoring.explaining import sentence
 from core.scoring.score import Contribution, Product, Score
@@ -85,14 +87,14 @@ def _without_cells(score: Score) -> tuple[Contribution, ...]:
 
 def _belief(scored: Scored) -> dict[str, dict[str, float]]:
     means = {name: sums.mean() for name, sums in sorted(scored.record.belief.items())}
-    return {name: named(mean) for name, mean in means.items() if mean is not None}
+    return {name: named(np.array(mean)) for name, mean in means.items() if mean is not None}
 
 
 def _period(period: Period) -> ScorePeriod:
     observed = period.observed_ns or (None, None)
     return ScorePeriod(
-        from_at=period.from_ns,
-        to_at=period.to_ns,
+        start_at=period.from_ns,
+        end_at=period.to_ns,
         observed_from=observed[0],
         observed_to=observed[1],
         days=period.days,

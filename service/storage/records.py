@@ -70,9 +70,7 @@ def put(connection: Connection, row: TripRecord, *, zone: str = DEFAULT_ZONE) ->
     _sum_up(connection, row.vehicle_pk, {day} if before is None else {day, before}, zone)
 
 
-def remove(
-    connection: Connection, vehicle_pk: int, *trips: ColumnElement[bool], zone: str = DEFAULT_ZONE
-) -> int:
+def remove(connection: Connection, vehicle_pk: int, *trips: ColumnElement[bool], zone: str = DEFAULT_ZONE) -> int:
     """Remove the records of a vehicle's trips of which all of ``trips`` hold, and take them out of the sums.
 
     Conditions are on ``trip_records``; returns how many went.

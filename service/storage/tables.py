@@ -188,7 +188,7 @@ track_points = Table(
     Column("sd_accel_bias_mps2", Float(53)),
     sqlite_with_rowid=False,
 )
-"""``sd_v_h_mps``, ``sd_tilt_deg`` and ``sd_accel_bias_mps2`` are of one horizontal axis; null in rows of before 0004."""
+"""``sd_v_h_mps``, ``sd_tilt_deg`` and ``sd_accel_bias_mps2`` are of one horizontal axis; null in rows from before."""
 
 trips = Table(
     "trips",
@@ -260,13 +260,13 @@ trip_records = Table(
     Column("model_sha256", String(64), nullable=False),
     Column("assessed_ns", BigInteger, nullable=False),
     Column("record", JSON, nullable=False),
-    Column("cells", JSON, nullable=False),
+    Column("cells", LargeBinary, nullable=False),
     Column("timeline", LargeBinary, nullable=False),
     Index("ix_trip_records_vehicle_pk_start_ns", "vehicle_pk", "start_ns"),
     Index("ix_trip_records_vehicle_pk_day", "vehicle_pk", "day"),
 )
-"""What a trip adds to scores: ``core.scoring.record.Record`` with its cells apart, and its masses by second
-(``service.trips.timeline``). ``day`` is the local one on which it began."""
+"""What a trip adds to scores: ``core.scoring.record.Record`` with its cells apart (``cell_sums``), and its masses
+by second (``service.trips.timeline``). ``day`` is the local one on which it began."""
 
 record_rollups = Table(
     "record_rollups",
@@ -278,7 +278,7 @@ record_rollups = Table(
     Column("begin", Date, primary_key=True),
     Column("zone", String(64), nullable=False),
     Column("record", JSON, nullable=False),
-    Column("cells", JSON, nullable=False),
+    Column("cells", LargeBinary, nullable=False),
 )
 """Sums of records: of a day over its trips, of a month over its days, of a year over its months; ``zone`` is the one
 by which days are told apart."""

@@ -6,6 +6,7 @@ import random
 from collections import defaultdict
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
+from itertools import pairwise
 from zoneinfo import ZoneInfo
 
 import pytest
@@ -33,21 +34,21 @@ def plain(rows, from_ns, to_ns, zone, cells):
     return total(replace(total(one), days=1) for one in by_day.values())
 
 
-@pytest.mark.parametrize("zone", ["UTC", "Europe/Helsinki", "America/Los_Angeles"])
+@pytest.mark.parametrize("zone", ["UTC", "America/Los_Angeles"])
 def test_any_period_is_the_plain_sum_over_its_trips(any_database, zone):
     rng = random.Random(1)
     with write(any_database) as connection:
         pk, other = a_vehicle(connection), a_vehicle(connection, "v2")
         rows = [
             a_trip_record(rng, pk, f"trip-{k}", BEGIN_NS + rng.randrange(800) * DAY_NS + rng.randrange(DAY_NS))
-            for k in range(120)
+            for k in range(70)
         ]
         rows[1] = replace(rows[1], start_ns=begin_ns(day_of(rows[0].start_ns, zone), zone))  # at the very midnight
         for row in rows:
             put(connection, row, zone)
         put(connection, a_trip_record(rng, other, "other", rows[0].start_ns), zone)
     with read(any_database) as connection:
-        for _ in range(80):
+        for _ in range(40):
             ends = sorted(BEGIN_NS + rng.randrange(-20, 820) * DAY_NS + rng.randrange(DAY_NS) for _ in range(2))
             days = [begin_ns(day_of(end, zone), zone) for end in ends]
             for from_ns, to_ns in (ends, days, (rows[1].start_ns, ends[1])):
@@ -114,8 +115,8 @@ def test_a_cover_is_whole_and_nowhere_double(zone, from_ns, length_ns):
     to_ns = from_ns + length_ns
     parts = cover(from_ns, to_ns, zone)
     spans = list(parts.edges_ns)
-    for dates in (*parts.years, *parts.months, *parts.days):
-        spans.append(tuple(begin_ns(day, zone) for day in dates))
+    dates = (*parts.years, *parts.months, *parts.days)
+    spans += [(begin_ns(first, zone), begin_ns(last, zone)) for first, last in dates]
     spans.sort()
     assert [span for span in spans if span[0] >= span[1]] == []
     if not length_ns:
@@ -123,7 +124,7 @@ def test_a_cover_is_whole_and_nowhere_double(zone, from_ns, length_ns):
         return
     assert spans[0][0] == from_ns
     assert spans[-1][1] == to_ns
-    assert all(one[1] == following[0] for one, following in zip(spans[:-1], spans[1:], strict=True))
+    assert all(one[1] == following[0] for one, following in pairwise(spans))
     assert all(day.day == 1 for dates in parts.months for day in dates)
     assert all((day.month, day.day) == (1, 1) for dates in parts.years for day in dates)
     assert sum((end - begin).days for begin, end in parts.days) < 2 * 31 + 1

@@ -73,7 +73,7 @@ def upgrade() -> None:
         sa.Column("model_sha256", sa.String(length=64), nullable=False),
         sa.Column("assessed_ns", sa.BigInteger(), nullable=False),
         sa.Column("record", sa.JSON(), nullable=False),
-        sa.Column("cells", sa.JSON(), nullable=False),
+        sa.Column("cells", sa.LargeBinary(), nullable=False),
         sa.Column("timeline", sa.LargeBinary(), nullable=False),
         sa.ForeignKeyConstraint(
             ["trip_id"], ["trips.id"], name=op.f("fk_trip_records_trip_id_trips"), ondelete="CASCADE"
@@ -90,7 +90,7 @@ def upgrade() -> None:
         sa.Column("begin", sa.Date(), nullable=False),
         sa.Column("zone", sa.String(length=64), nullable=False),
         sa.Column("record", sa.JSON(), nullable=False),
-        sa.Column("cells", sa.JSON(), nullable=False),
+        sa.Column("cells", sa.LargeBinary(), nullable=False),
         _of_vehicle("record_rollups"),
         sa.PrimaryKeyConstraint("vehicle_pk", "period", "begin", name=op.f("pk_record_rollups")),
     )

@@ -30,3 +30,14 @@ class RatingHistory(Model):
 
     versions: list[RatingVersion]
     next_cursor: str | None
+
+
+class PlacesBuild(Model):
+    """What the risk of places was worked out from."""
+
+    rating: RatingVersion
+    vehicles: int
+    distance_m: float
+    cells: int
+    accidents: int
+    accidents_left_out: int = Field(description="In cells where no trip was recorded, or of unknown place.")

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import time
 from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Depends, Query, Request, Response
-from sqlalchemy import Connection
+from sqlalchemy import Connection, Engine
 from starlette.concurrency import run_in_threadpool
 
 from schemas.problem import Problem
-from schemas.rating import RatingHistory, RatingParts, RatingVersion
+from schemas.rating import PlacesBuild, RatingHistory, RatingParts, RatingVersion
 from service.api.conditional import IfMatch, answer, answer_content, check_preconditions
 from service.api.dependencies import Database
 from service.api.pagination import Page, encode_cursor, link_next
 from service.api.security import Principal, require
 from service.errors import InvalidParameterError, NotFoundError, TooLargeError, UnsupportedMediaTypeError
 from service.rating.parts import JSON, KINDS, TOML, Holding, Part, holding
+from service.rating.places import build_places
 from service.storage import audit, rating, tenants
 from service.storage.database import read, write
 from service.storage.rating import RatingRow
@@ -103,6 +105,28 @@ async def put_rating(
     return await run_in_threadpool(_put, request, part, text, caller, engine, if_match)
 
 
+@router.post("/rating/places:build", response_model=PlacesBuild, status_code=201)
+def build_rating_places(request: Request, caller: Admin, engine: Database) -> Response:
+    """Work out the risk of places from the tenant's own vehicles, and rate by it from now on.
+
+    A cell's relativity is its accidents (suspected or confirmed) over what its share of the distance lets expect,
+    drawn toward 1 the more, the less was driven there.
+    """
+    with read(engine) as connection:
+        built = build_places(connection, caller.tenant_id)
+    text = json.dumps(built.places.to_json(), sort_keys=True, indent=1)
+    version = _keep(Part.PLACES, text, caller, engine, None)
+    body = PlacesBuild(
+        rating=version,
+        vehicles=built.vehicles,
+        distance_m=built.distance_m,
+        cells=len(built.places.relativity),
+        accidents=built.accidents,
+        accidents_left_out=built.left_out,
+    )
+    return answer(request, body, status=201)
+
+
 @router.delete("/rating/{part}", response_model=RatingVersion)
 def delete_rating(request: Request, part: Part, caller: Admin, engine: Database) -> Response:
     """Rate by the shipped part again from now on; versions of one's own stay readable."""
@@ -122,16 +146,20 @@ async def _text(request: Request) -> str:
 
 
 def _put(
-    request: Request, part: Part, text: str | None, caller: Principal, engine: Any, if_match: str | None
+    request: Request, part: Part, text: str | None, caller: Principal, engine: Engine, if_match: str | None
 ) -> Response:
     if text is not None:
         KINDS[part].read(text)
+    return answer(request, _keep(part, text, caller, engine, if_match))
+
+
+def _keep(part: Part, text: str | None, caller: Principal, engine: Engine, if_match: str | None) -> RatingVersion:
     with write(engine) as connection:
         tenants.lock(connection, caller.tenant_id)
         before = _held(connection, caller.tenant_id, part)
         check_preconditions(_shown(before), if_match, None)
         if (before.text if before.own else None) == text:
-            return answer(request, _shown(before))
+            return _shown(before)
         row = RatingRow(part, before.version + 1, text, time.time_ns(), caller.key_id)
         rating.add(connection, caller.tenant_id, row)
         after = _held(connection, caller.tenant_id, part)
@@ -139,7 +167,7 @@ def _put(
         audit.note(
             connection, caller.tenant_id, caller.key_id, "rating.changed", f"rating/{part}", row.created_ns, said
         )
-    return answer(request, _shown(after))
+        return _shown(after)
 
 
 def _held(connection: Connection, tenant_id: str, part: Part) -> Holding:

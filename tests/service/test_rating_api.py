@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import tomllib
 
+import h3
 import pytest
+from sqlalchemy import insert
+
+from core.driving.exposure import Driven, Exposure
+from core.scoring.record import Record
+from service.storage import records, tables, vehicles
+from service.storage.database import write
+from service.storage.records import TripRecord
+from tests.service.stored_rows import T0, accident_row
+from tests.service.trip_records import a_trip
 
 OWN = """extends = "default"
 name = "mine"
@@ -36,7 +46,9 @@ def insurer(service, tenant):
 
 def test_what_is_shipped_holds_until_one_has_ones_own(insurer):
     listed = {one["part"]: one for one in insurer.get("/v1/rating").json()["parts"]}
-    assert set(listed) == {"risk-tables"}
+    assert set(listed) == {"risk-tables", "score-model", "places"}
+    assert insurer.get("/v1/rating/places").json() is None
+    listed.pop("places")
     for part, one in listed.items():
         assert (one["version"], one["own"], one["created_at"]) == (0, False, None)
         shipped = insurer.get(f"/v1/rating/{part}")
@@ -80,7 +92,7 @@ def test_another_tenant_has_its_own(service, admin, tenant):
         ("", TOML, 422, "no table"),
         (b"\xff", TOML, 422, "is no UTF-8"),
         ("{}", {"content-type": "application/json"}, 415, "expected application/toml"),
-        ("#" * 300_000, TOML, 413, "larger than"),
+        ("#" * 5_000_000, TOML, 413, "larger than"),
         (OWN, TOML | {"if-match": '"old"'}, 412, "changed meanwhile"),
     ],
 )
@@ -97,3 +109,28 @@ def test_who_may_not_and_what_is_not_there(insurer):
     assert insurer.get("/v1/rating/astrology").status_code in (404, 422)
     missing = insurer.get("/v1/rating/risk-tables", params={"version": 9})
     assert (missing.status_code, "no version 9" in missing.json()["detail"]) == (404, True)
+
+
+def test_places_are_worked_out_from_ones_own_accidents(service, admin, tenant):
+    """Twice the distance in one cell, all accidents in the other: that one is the riskier."""
+    often, seldom = "881f1d4887fffff", "881f1d4889fffff"
+    admin.put("/v1/vehicles/v1", json={})
+    lat_deg, lon_deg = h3.cell_to_latlng(seldom)
+    with write(service.database) as connection:
+        pk = vehicles.find(connection, tenant, "v1").ref.pk
+        driven = {often: Driven(2_000_000, 1), seldom: Driven(1_000_000, 1)}
+        record = Record(trips=1, exposure=Exposure(Driven(3_000_000, 2)), cells=driven)
+        a_trip(connection, pk, tenant[-36:], T0)
+        records.put(connection, TripRecord(tenant[-36:], pk, T0, record, b"", "0" * 64, 1))
+        placed = {"lat_deg": lat_deg, "lon_deg": lon_deg}
+        for number, change in enumerate([placed, placed, {"lat_deg": None, "lon_deg": None}, {"lat_deg": 0.0}]):
+            row = accident_row(tenant, pk, number) | change
+            connection.execute(insert(tables.accidents), [row])
+    built = admin.post("/v1/rating/places:build")
+    assert (built.status_code, built.json()["accidents"], built.json()["accidents_left_out"]) == (201, 2, 2)
+    assert (built.json()["cells"], built.json()["vehicles"], built.json()["distance_m"]) == (2, 1, 3000.0)
+    told = admin.get("/v1/rating/places").json()["cells"]
+    assert told[seldom][0] > 1.0 > told[often][0]
+    with service.client(f"{tenant}-other", "admin") as stranger:
+        assert stranger.get("/v1/rating/places").json() is None
+        assert stranger.post("/v1/rating/places:build").json()["cells"] == 0

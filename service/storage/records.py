@@ -144,9 +144,9 @@ def of_period(
         chosen = _columns(trip_records, "start_ns", cells)
         single = connection.execute(select(*chosen).where(mine, or_(*spans))).all()
     # A day counts as one, however little of it is asked for.
-    days = {"days": len({day_of(row.start_ns, zone) for row in single})}
-    told = total_of_json([days, *(row.record for row in (*rows, *single))])
-    record = Record.from_json(told)
+    days = len({day_of(row.start_ns, zone) for row in single})
+    record = Record.from_json(total_of_json(row.record for row in (*rows, *single)))
+    record = replace(record, days=record.days + days)
     return replace(record, cells=cell_sums.unpacked([row.cells for row in (*rows, *single)])) if cells else record
 
 
@@ -229,7 +229,7 @@ def _keep(
             "period": period,
             "begin": begin,
             "zone": zone,
-            "record": total_of_json(one.record for one in made_of) | ({"days": 1} if period is Period.DAY else {}),
+            "record": _told(period, made_of),
             "cells": cell_sums.added([one.cells for one in made_of]),
         }
         for begin, made_of in sorted(parts.items())
@@ -237,6 +237,13 @@ def _keep(
     ]
     if rows:
         connection.execute(insert(table), rows)
+
+
+def _told(period: Period, made_of: Sequence[_Row]) -> dict[str, Any]:
+    told = total_of_json(one.record for one in made_of)
+    if period is Period.DAY:
+        told["sums"]["days"] = 1
+    return told
 
 
 def _columns(table: Table, key: str, cells: bool) -> list[Column[Any]]:

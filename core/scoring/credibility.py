@@ -12,7 +12,7 @@ References: Buehlmann & Gisler, *A Course in Credibility Theory* (2005), 2.4; Zo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -66,10 +66,20 @@ def shape_of(spread: float) -> float:
     return 1.0 / (spread * spread)
 
 
-def summed(parts: Iterable[Estimate]) -> Estimate:
-    """The sum of independent estimates by MOVER: to either side, distances add by their squares. Exact for one."""
+def summed(parts: Iterable[Estimate], correlation: float = 0.0) -> Estimate:
+    """The sum of estimates by MOVER: to either side, distances add as standard deviations do. Exact for one.
+
+    Parameters
+    ----------
+    correlation : between the errors of any two, 0 to 1
+    """
     listed = list(parts)
     value = math.fsum(part.value for part in listed)
-    below = math.sqrt(math.fsum((part.value - part.low) ** 2 for part in listed))
-    above = math.sqrt(math.fsum((part.high - part.value) ** 2 for part in listed))
+    below = _together([part.value - part.low for part in listed], correlation)
+    above = _together([part.high - part.value for part in listed], correlation)
     return Estimate(value, value - below, value + above)
+
+
+def _together(distances: Sequence[float], correlation: float) -> float:
+    apart = math.fsum(one * one for one in distances)
+    return math.sqrt((1.0 - correlation) * apart + correlation * math.fsum(distances) ** 2)

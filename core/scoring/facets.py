@@ -35,7 +35,7 @@ class Facet:
     group: Callable[[str], tuple[str, str]]
     others: tuple[str, str]
     shape: float
-    unit_km: float
+    count_km: float
     told: int
     weight: float = 1.0
 
@@ -58,7 +58,7 @@ def facet_part(facet: Facet, exposed: Mapping[str, Driven], record: Record) -> P
         label: driven.distance_mm / total_mm for label, driven in sorted(exposed.items()) if label in facet.relativity
     }
     k = min(math.fsum(known.values()), 1.0)
-    expected = k * total_mm * 1e-6 / facet.unit_km
+    expected = k * total_mm * 1e-6 / facet.count_km
     mean = math.fsum(share * facet.relativity[label] for label, share in known.items()) / k if k > NEVER_KNOWN else 1.0
     shrunk = Shrunk(facet.shape, expected * mean, expected)
     against = facet.share or dict.fromkeys(known, 0.0)

@@ -6,7 +6,7 @@ import itertools
 import math
 from bisect import bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from core.driving.manoeuvres import Manoeuvre
@@ -15,8 +15,8 @@ from core.risk.assessment import ENTITIES
 from core.scoring.credibility import shape_of
 from core.scoring.numbers import Section, digest, is_number, text_of
 
-_FACET: Final = ("unit", "range", "source", "cap", "damping", "spread", "unit_km", "labels", "groups")
-_RATE: Final = ("rate", "spread", "weight", "cap")
+_FACET: Final = ("unit", "range", "source", "cap", "damping", "spread", "count_km", "labels", "groups")
+_RATE: Final = ("rate", "spread", "dispersion", "weight", "cap")
 FUSED: Final = "fused"
 
 
@@ -38,7 +38,7 @@ class Mileage:
 
     annual_km: float
     shape: float
-    day_km: float
+    count_km: float
     fixed: float
     from_km: tuple[float, ...]
     slope: tuple[float, ...]
@@ -71,21 +71,23 @@ class FacetRisk:
     share: Mapping[str, float]
     groups: Mapping[str, str]
     shape: float
-    unit_km: float
+    count_km: float
 
 
 @dataclass(frozen=True, slots=True)
 class Regressor:
     """One of PHYD's: ln relativity is ``weight`` * (value - ``portfolio``), the value up to ``cap``.
 
-    ``unit`` is the exposure that tells as much as one count where the value is the portfolio's.
+    ``exposure`` is what tells as much as one Poisson count where the value is the portfolio's; ``dispersion`` so many
+    counts that tell as much as one.
     """
 
     portfolio: float
     shape: float
     weight: float
     cap: float
-    unit: float
+    exposure: float
+    dispersion: float = 1.0
 
     def ln(self, relative: float) -> float:
         """Ln relativity of a value over the portfolio's."""
@@ -108,10 +110,11 @@ class ScoreModel:
     speeding_share: float
     vehicle: Regressor
     entity: str
+    correlation: float
     road_class: FacetRisk
     district: FacetRisk
     cell_shape: float
-    cell_unit_km: float
+    cell_count_km: float
     told: int
 
 
@@ -127,15 +130,18 @@ def score_model_of(document: Mapping[str, Any]) -> ScoreModel:
     if unknown := [key for key in document if key not in known]:
         raise InvalidInputError(f"unknown key '{unknown[0]}': expected {', '.join(known)}")
     _of_these(document, "payd", ("mileage", "hour"))
-    _of_these(document, "phyd", (*(kind.value for kind in Manoeuvre), "speeding", "vehicle"))
+    _of_these(document, "phyd", (*(kind.value for kind in Manoeuvre), "speeding", "vehicle", "together"))
     _of_these(document, "pwyd", ("road_class", "district", "cell"))
     scale = Section(document, "scale", ("base", "per_halving"))
-    speeding = Section(document, "phyd.speeding", ("share", "excess_kmh", "spread", "weight", "unit_h", "cap"))
-    vehicle = Section(document, "phyd.vehicle", ("entity", "risk", "spread", "weight", "unit_km", "cap"))
+    speeding = Section(document, "phyd.speeding", ("share", "excess_kmh", "spread", "weight", "count_h", "cap"))
+    vehicle = Section(document, "phyd.vehicle", ("entity", "risk", "spread", "weight", "count_km", "cap"))
     entity = text_of(vehicle.content, "entity", "phyd.vehicle.")
     if entity not in (*ENTITIES, FUSED):
         raise InvalidInputError(f"phyd.vehicle.entity is '{entity}': expected one of {', '.join((*ENTITIES, FUSED))}")
-    cell = Section(document, "pwyd.cell", ("spread", "unit_km", "told"))
+    correlation = Section(document, "phyd.together", ("correlation",)).number("correlation")
+    if not 0.0 <= correlation <= 1.0:
+        raise InvalidInputError(f"phyd.together.correlation is {correlation:g}: expected 0 to 1")
+    cell = Section(document, "pwyd.cell", ("spread", "count_km", "told"))
     share = _positive(speeding, "share")
     return ScoreModel(
         name=text_of(document, "name", ""),
@@ -146,14 +152,15 @@ def score_model_of(document: Mapping[str, Any]) -> ScoreModel:
         mileage=_mileage(document),
         hour=_facet(document, "payd.hour"),
         manoeuvres={kind.value: _manoeuvre(document, kind.value) for kind in Manoeuvre},
-        speeding=_regressor(speeding, share * _positive(speeding, "excess_kmh"), _positive(speeding, "unit_h")),
+        speeding=_regressor(speeding, share * _positive(speeding, "excess_kmh"), _positive(speeding, "count_h")),
         speeding_share=share,
-        vehicle=_regressor(vehicle, _positive(vehicle, "risk"), _positive(vehicle, "unit_km")),
+        vehicle=_regressor(vehicle, _positive(vehicle, "risk"), _positive(vehicle, "count_km")),
         entity=entity,
+        correlation=correlation,
         road_class=_facet(document, "pwyd.road_class"),
         district=_facet(document, "pwyd.district"),
         cell_shape=shape_of(_positive(cell, "spread")),
-        cell_unit_km=_positive(cell, "unit_km"),
+        cell_count_km=_positive(cell, "count_km"),
         told=round(_positive(cell, "told")),
     )
 
@@ -174,7 +181,7 @@ def _positive(section: Section, key: str) -> float:
 
 
 def _mileage(document: Mapping[str, Any]) -> Mileage:
-    section = Section(document, "payd.mileage", ("annual_km", "spread", "day_km", "fixed", "bands"))
+    section = Section(document, "payd.mileage", ("annual_km", "spread", "count_km", "fixed", "bands"))
     bands = Section(document, "payd.mileage.bands", ("unit", "range", "source", "from_km", "slope"))
     slope, starts = bands.numbers("slope", bands.content.get("slope")), bands.content.get("from_km")
     if not isinstance(starts, list) or not all(is_number(start) for start in starts) or len(starts) != len(slope):
@@ -190,7 +197,7 @@ def _mileage(document: Mapping[str, Any]) -> Mileage:
     return Mileage(
         annual_km=_positive(section, "annual_km"),
         shape=shape_of(_positive(section, "spread")),
-        day_km=_positive(section, "day_km"),
+        count_km=_positive(section, "count_km"),
         fixed=_positive(section, "fixed"),
         from_km=tuple(float(start) for start in starts),
         slope=slope,
@@ -200,17 +207,18 @@ def _mileage(document: Mapping[str, Any]) -> Mileage:
 def _manoeuvre(document: Mapping[str, Any], kind: str) -> Regressor:
     section = Section(document, f"phyd.{kind}", _RATE)
     rate = _positive(section, "rate")
-    return _regressor(section, rate, 100.0 / rate)
+    dispersion = _positive(section, "dispersion")
+    return replace(_regressor(section, rate, dispersion * 100.0 / rate), dispersion=dispersion)
 
 
-def _regressor(section: Section, portfolio: float, unit: float) -> Regressor:
+def _regressor(section: Section, portfolio: float, exposure: float) -> Regressor:
     cap = section.number("cap")
     if not cap > portfolio:
         raise InvalidInputError(f"{section.path}.cap is {cap:g}: expected more than the portfolio's {portfolio:g}")
     weight = section.number("weight")
     if weight < 0.0:
         raise InvalidInputError(f"{section.path}.weight is {weight:g}: expected 0 or more")
-    return Regressor(portfolio, shape_of(_positive(section, "spread")), weight, cap, unit)
+    return Regressor(portfolio, shape_of(_positive(section, "spread")), weight, cap, exposure)
 
 
 def _facet(document: Mapping[str, Any], path: str) -> FacetRisk:
@@ -238,7 +246,7 @@ def _facet(document: Mapping[str, Any], path: str) -> FacetRisk:
         share={label: share / total for label, share in shares.items()},
         groups=_groups(section, rates),
         shape=shape_of(_positive(section, "spread")),
-        unit_km=_positive(section, "unit_km"),
+        count_km=_positive(section, "count_km"),
     )
 
 

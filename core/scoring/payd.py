@@ -41,7 +41,7 @@ def payd(record: Record, days: float, model: ScoreModel) -> Score:
         group=lambda hour: (model.hour.groups[hour], model.hour.groups[hour]),
         others=("other_hours", "other hours"),
         shape=model.hour.shape,
-        unit_km=model.hour.unit_km,
+        count_km=model.hour.count_km,
         told=len(model.hour.relativity),
     )
     return basis.scored([_mileage(record, days, model), facet_part(facet, hours, record)])
@@ -51,7 +51,7 @@ def _mileage(record: Record, days: float, model: ScoreModel) -> Part:
     mileage = model.mileage
     usual_km = mileage.annual_km * days / DAYS_PER_YEAR
     km = record.distance_m * 1e-3
-    shrunk = Shrunk(mileage.shape, km / mileage.day_km, usual_km / mileage.day_km)
+    shrunk = Shrunk(mileage.shape, km / mileage.count_km, usual_km / mileage.count_km)
     annual = Estimate(*(mileage.annual_km * relative for relative in shrunk.estimate))
     ln = Estimate(*(math.log(mileage.relativity(one)) for one in annual))
     contribution = Contribution(

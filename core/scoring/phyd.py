@@ -50,7 +50,7 @@ def phyd(record: Record, days: float, model: ScoreModel) -> Score:
     }
     parts = [_manoeuvre(record, kind, model.manoeuvres[kind]) for kind in model.manoeuvres]
     parts += [_speeding(record, model), _vehicle(record, model, risk, known)]
-    return Basis(Product.PHYD, record, days, model, coverage=coverage).scored(parts)
+    return Basis(Product.PHYD, record, days, model, coverage=coverage).scored(parts, model.correlation)
 
 
 def mean_risk(belief: BeliefSums) -> tuple[float | None, float]:
@@ -66,7 +66,7 @@ def mean_risk(belief: BeliefSums) -> tuple[float | None, float]:
 
 def _manoeuvre(record: Record, kind: str, regressor: Regressor) -> Part:
     count, km = record.manoeuvres.get(kind, 0), record.distance_m * 1e-3
-    shrunk = Shrunk(regressor.shape, float(count), km / regressor.unit)
+    shrunk = Shrunk(regressor.shape, count / regressor.dispersion, km / regressor.exposure)
     contribution = Contribution(
         kind,
         LABELS[kind],
@@ -91,7 +91,7 @@ def _speeding(record: Record, model: ScoreModel) -> Part:
     regressor, speeding = model.speeding, record.speeding
     share = speeding.certain_over_ms / speeding.certain_ms if speeding.certain_ms else None
     excess_kmh = _KMH * speeding.excess_mm / speeding.over_ms if speeding.over_ms else None
-    hours = speeding.certain_ms / 3.6e6 / regressor.unit
+    hours = speeding.certain_ms / 3.6e6 / regressor.exposure
     observed = (share or 0.0) * (excess_kmh or 0.0) / regressor.portfolio
     shrunk = Shrunk(regressor.shape, hours * observed, hours)
     usual_share = model.speeding_share
@@ -140,7 +140,7 @@ def _speeding(record: Record, model: ScoreModel) -> Part:
 
 def _vehicle(record: Record, model: ScoreModel, risk: float | None, known: float) -> Part:
     regressor = model.vehicle
-    expected = known * record.distance_m * 1e-3 / regressor.unit
+    expected = known * record.distance_m * 1e-3 / regressor.exposure
     shrunk = Shrunk(regressor.shape, expected * (risk or 0.0) / regressor.portfolio, expected)
     ln = _ln(regressor, shrunk)
     contribution = Contribution(

@@ -50,7 +50,7 @@ def pwyd(record: Record, days: float, model: ScoreModel, places: Places | None =
             group=lambda cell: (f"cell:{cell}", f"area {cell}"),
             others=("cell:others", "other areas"),
             shape=model.cell_shape,
-            unit_km=model.cell_unit_km,
+            count_km=model.cell_count_km,
             told=model.told,
         )
         parts.append(facet_part(cells, record.cells, record))
@@ -68,7 +68,7 @@ def _facet(risk: FacetRisk, name: str, label: str, told: int, weight: float = 1.
         group=group,
         others=(f"{name}:others", f"other {label}s"),
         shape=risk.shape,
-        unit_km=risk.unit_km,
+        count_km=risk.count_km,
         told=told,
         weight=weight,
     )

@@ -97,7 +97,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One independent piece of ln relativity, and the contributions that make it up.
+    """One piece of ln relativity, and the contributions that make it up.
 
     Parameters
     ----------
@@ -123,10 +123,10 @@ class Basis:
     places_sha256: str | None = None
     coverage: Mapping[str, float] = field(default_factory=dict)
 
-    def scored(self, parts: Sequence[Part]) -> Score:
-        """The score of these parts."""
+    def scored(self, parts: Sequence[Part], correlation: float = 0.0) -> Score:
+        """The score of these parts, whose errors have this correlation with one another."""
         scale = self.model.scale
-        ln = summed(part.ln for part in parts)
+        ln = summed((part.ln for part in parts), correlation)
         made = [Contribution("base", "portfolio's mean driver", _grained(scale.base))]
         for part in parts:
             for share, share_ln in part.shares:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
-from decimal import Decimal
+from collections.abc import Callable
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -11,7 +12,11 @@ from typing import Any, Final
 
 from core.errors import InvalidInputError
 from core.scoring.model import ScoreModel, score_model_of
+from core.scoring.places import Places, places_of
+from core.scoring.premium import Tariff, tariff_of
+from core.scoring.record import Record
 from service.errors import UsageError
+from service.scoring.checking import record_of
 
 SHIPPED: Final = ("scores", "tariff")
 
@@ -33,15 +38,59 @@ def score_model(own: Path | None = None) -> ScoreModel:
         raise UsageError(f"{own}: {error}") from None
 
 
+@cache
+def shipped_tariff() -> Tariff:
+    """The example that ships."""
+    return tariff_of(tomllib.loads(shipped_text("tariff")))
+
+
+def tariff(own: Path) -> Tariff:
+    """A user's tariff; raises UsageError that says what is wrong in it."""
+    document = _read_toml(own, "scores tariff")
+    try:
+        return tariff_of(document)
+    except InvalidInputError as error:
+        raise UsageError(f"{own}: {error}") from None
+
+
+def record(path: Path) -> Record:
+    """A record as ``Record.to_json`` told it; raises UsageError that says what is wrong in it."""
+    document = _parsed(path, json.loads, "JSON: {}; expected a record")
+    try:
+        return record_of(document)
+    except InvalidInputError as error:
+        raise UsageError(f"{path}: {error}") from None
+
+
+def places(path: Path) -> Places:
+    """Relativities of cells as ``Places.to_json`` told them; raises UsageError that says what is wrong in them."""
+    document = _parsed(path, json.loads, "JSON: {}; expected places")
+    try:
+        return places_of(document)
+    except InvalidInputError as error:
+        raise UsageError(f"{path}: {error}") from None
+
+
 def shipped_text(name: str) -> str:
     """A shipped file as it is written, with its sources."""
     return (resources.files("core.scoring") / "tables" / f"{name}.toml").read_text(encoding="utf-8")
 
 
-def _read_toml(path: Path, like: str, *, decimals: bool = False) -> dict[str, Any]:
+def _read_toml(path: Path, like: str) -> dict[str, Any]:
+    return _parsed(path, tomllib.loads, f"TOML: {{}}; expected a file as 'telefuse {like}' prints")
+
+
+def _parsed(path: Path, parse: Callable[[str], Any], expected: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"), parse_float=Decimal if decimals else float)
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise UsageError(f"{path}: is no TOML: {error}; expected a file as 'telefuse {like}' prints") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: is no UTF-8 text: {error.reason} at byte {error.start}") from error
+    try:
+        document = parse(text)
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{path}: is no {expected.format(error)}") from error
+    if not isinstance(document, dict):
+        raise UsageError(f"{path}: is no {expected.format('no object')}")
+    return document

@@ -51,7 +51,7 @@ def usual(km: float) -> Record:
     risk = round(1e9 * MODEL.vehicle.portfolio)
     return replace(
         record,
-        manoeuvres={kind: round(km / one.unit) for kind, one in MODEL.manoeuvres.items()},
+        manoeuvres={kind: round(km * one.portfolio / 100.0) for kind, one in MODEL.manoeuvres.items()},
         speeding=SpeedingSums(time_ms, 0, over_ms, time_ms, over_ms, excess_mm),
         belief={"vehicle": BeliefSums(1, (0, 10**9 - risk, 0, 0, risk, 0, 0, 0))},
     )

@@ -83,3 +83,39 @@ class ProductScores(Model):
 
     vehicle_id: VehicleId
     scores: dict[str, ProductScore]
+
+
+class QuoteStep(Model):
+    """One step from the base to the premium; amounts are exact decimals."""
+
+    name: str = Field(description="base, period, payd, phyd, pwyd, floor, cap or rounding")
+    text: str
+    factor: str | None = Field(description="By what it multiplies, where it does.")
+    change: str = Field(description="What it adds; the changes of all steps sum to the premium exactly.")
+    amount: str = Field(description="After it.")
+
+
+class QuotedScore(Model):
+    """The score that a quote went by."""
+
+    score: float | None
+    relativity: float | None
+    relativity_interval95: Interval | None
+    reason: str | None
+
+
+class PremiumQuote(Model):
+    """A premium for as many days as the period has, by what was driven in it."""
+
+    vehicle_id: VehicleId
+    period: ScorePeriod
+    premium: str = Field(description="An exact decimal in the currency.")
+    premium_minor: int = Field(description="In the currency's smallest unit.")
+    currency: str = Field(description="ISO 4217")
+    days: float = Field(description="That the premium is for.")
+    steps: list[QuoteStep]
+    scores: dict[str, QuotedScore]
+    tariff: str
+    tariff_version: str
+    tariff_sha256: str
+    model: ModelUsed

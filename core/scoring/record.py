@@ -107,7 +107,7 @@ class Record:
             belief=_merged(self.belief, other.belief, BeliefSums(), BeliefSums.__add__),
             coverage=_merged(self.coverage, other.coverage, 0, int.__add__),
             accidents=_merged(self.accidents, other.accidents, 0, int.__add__),
-            evidence=_merged(self.evidence, other.evidence, (), lambda one, more: _heaviest((*one, *more))),
+            evidence=_merged(self.evidence, other.evidence, (), lambda one, more: heaviest((*one, *more))),
         )
 
     @property
@@ -121,82 +121,49 @@ class Record:
         return {name: units * MASS_UNIT / instants for name, units in sorted(self.coverage.items())} if instants else {}
 
     def to_json(self, *, cells: bool = True) -> dict[str, Any]:
-        """As plain numbers from which ``from_json`` makes the same: ``sums`` by flat names, which add up name by name,
-        the one figure that is a maximum, ``evidence``, and ``cells`` unless these are kept apart."""
-        sums = {
+        """As plain numbers, lists and maps, from which ``from_json`` makes the same; what is nothing is left out."""
+        told: dict[str, Any] = {
             "trips": self.trips,
             "days": self.days,
+            "total": self.exposure.total,
+            "by": {facet.value: dict(labels) for facet, labels in self.exposure.by.items()},
+            "cells": dict(self.cells) if cells else {},
             "coasting_ms": self.coasting_ms,
-            "total/mm": self.exposure.total.distance_mm,
-            "total/ms": self.exposure.total.time_ms,
+            "manoeuvres": dict(self.manoeuvres),
+            "excused": dict(self.excused),
+            "speeding": {one.name: getattr(self.speeding, one.name) for one in fields(SpeedingSums)},
+            "belief": {name: [sums.instants, *sums.mass] for name, sums in self.belief.items()},
+            "coverage": dict(self.coverage),
+            "accidents": dict(self.accidents),
+            "evidence": {about: [list(one) for one in pieces] for about, pieces in self.evidence.items()},
         }
-        for facet, labels in self.exposure.by.items():
-            for label, driven in labels.items():
-                sums[f"by/{facet.value}/mm/{label}"], sums[f"by/{facet.value}/ms/{label}"] = driven
-        for name in _COUNTS:
-            sums |= {f"{name}/{key}": count for key, count in getattr(self, name).items()}
-        sums |= {f"speeding/{name}": getattr(self.speeding, name) for name in _SPEEDING}
-        for entity, belief in self.belief.items():
-            sums |= {f"belief/{entity}/{bits}": mass for bits, mass in enumerate(belief.mass)}
-            sums[f"belief/{entity}/n"] = belief.instants
-        evidence = {about: [list(one) for one in pieces] for about, pieces in self.evidence.items()}
-        told = {"sums": sums, "max_excess_mmps": self.speeding.max_excess_mmps, "evidence": evidence}
-        return told | ({"cells": {cell: list(driven) for cell, driven in self.cells.items()}} if cells else {})
+        return {name: value for name, value in told.items() if value}
 
     @classmethod
     def from_json(cls, told: Mapping[str, Any]) -> Record:
         """What ``to_json`` told."""
-        sums: Mapping[str, int] = told["sums"]
-        by: dict[Facet, dict[str, Driven]] = {}
-        counts: dict[str, dict[str, int]] = {name: {} for name in _COUNTS}
-        masses: dict[str, list[int]] = {}
-        for path, value in sums.items():
-            head, _, rest = path.partition("/")
-            if head == "by":
-                facet, unit, label = rest.split("/", 2)
-                if unit == "mm":
-                    by.setdefault(Facet(facet), {})[label] = Driven(value, sums[f"by/{facet}/ms/{label}"])
-            elif head in counts:
-                counts[head][rest] = value
-            elif head == "belief":
-                entity, _, bits = rest.rpartition("/")
-                if bits != "n":
-                    masses.setdefault(entity, [0] * N_SETS)[int(bits)] = value
-        pieces = told["evidence"].items()
+        by = {Facet(facet): _driven(labels) for facet, labels in told.get("by", {}).items()}
         return cls(
-            trips=sums["trips"],
-            days=sums["days"],
-            exposure=Exposure(Driven(sums["total/mm"], sums["total/ms"]), by),
-            cells={cell: Driven(*driven) for cell, driven in told.get("cells", {}).items()},
-            coasting_ms=sums["coasting_ms"],
-            speeding=SpeedingSums(
-                **{name: sums[f"speeding/{name}"] for name in _SPEEDING}, max_excess_mmps=told["max_excess_mmps"]
-            ),
-            belief={name: BeliefSums(sums[f"belief/{name}/n"], tuple(mass)) for name, mass in masses.items()},
-            evidence={about: tuple(Evidence(*one) for one in found) for about, found in pieces},
-            **counts,
+            trips=told.get("trips", 0),
+            days=told.get("days", 0),
+            exposure=Exposure(Driven(*told.get("total", NOTHING)), by),
+            cells=_driven(told.get("cells", {})),
+            coasting_ms=told.get("coasting_ms", 0),
+            manoeuvres=told.get("manoeuvres", {}),
+            excused=told.get("excused", {}),
+            speeding=SpeedingSums(**told.get("speeding", {})),
+            belief={name: BeliefSums(sums[0], tuple(sums[1:])) for name, sums in told.get("belief", {}).items()},
+            coverage=told.get("coverage", {}),
+            accidents=told.get("accidents", {}),
+            evidence={
+                about: tuple(Evidence(*one) for one in pieces) for about, pieces in told.get("evidence", {}).items()
+            },
         )
 
 
 def total(records: Iterable[Record]) -> Record:
     """The sum of records."""
     return reduce(Record.__add__, records, Record())
-
-
-def total_of_json(told: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """What ``to_json`` would tell of the sum of records but for cells, from what it told of each, without making them.
-    A query over years adds up to a hundred, so this is one flat loop."""
-    sums = dict(_NOTHING["sums"])
-    pieces: dict[str, list[list[Any]]] = {}
-    max_excess_mmps = 0
-    for one in told:
-        for path, value in one["sums"].items():
-            sums[path] = sums.get(path, 0) + value
-        for about, found in one["evidence"].items():
-            pieces.setdefault(about, []).extend(found)
-        max_excess_mmps = max(max_excess_mmps, one["max_excess_mmps"])
-    evidence = {about: [list(one) for one in _heaviest(map(Evidence._make, found))] for about, found in pieces.items()}
-    return {"sums": sums, "max_excess_mmps": max_excess_mmps, "evidence": evidence}
 
 
 def _merged(one: Mapping[str, Any], other: Mapping[str, Any], nothing: Any, plus: Any) -> dict[str, Any]:
@@ -206,11 +173,11 @@ def _merged(one: Mapping[str, Any], other: Mapping[str, Any], nothing: Any, plus
     return merged
 
 
-def _heaviest(pieces: Iterable[Evidence]) -> tuple[Evidence, ...]:
+def heaviest(pieces: Iterable[Evidence]) -> tuple[Evidence, ...]:
+    """Those that a record keeps."""
     # The same, whatever is added first: the heaviest, and of equals the one whose id comes first.
     return tuple(sorted(set(pieces), key=lambda piece: (-piece.weight, piece.kind, piece.id))[:MOST_EVIDENCE])
 
 
-_COUNTS: Final = ("manoeuvres", "excused", "coverage", "accidents")
-_SPEEDING: Final = tuple(one.name for one in fields(SpeedingSums) if one.name != "max_excess_mmps")
-_NOTHING: Final = Record().to_json()
+def _driven(labels: Mapping[str, Any]) -> dict[str, Driven]:
+    return {label: Driven(*driven) for label, driven in labels.items()}

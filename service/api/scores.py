@@ -7,14 +7,15 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
+from core.scoring.premium import quote
 from core.scoring.score import Product
-from schemas.scores import ProductScore, ProductScores
+from schemas.scores import PremiumQuote, ProductScore, ProductScores
 from service.api.conditional import answer
 from service.api.dependencies import Database, VehiclePath, the_vehicle
 from service.api.security import Principal, require
 from service.rating.period import Asked
 from service.rating.scoring import Reading, Scored, scored
-from service.rating.telling import shown
+from service.rating.telling import quoted, shown
 from service.storage.database import read
 
 router = APIRouter(tags=["scores"])
@@ -87,6 +88,32 @@ def get_score(
     """
     found = _scored(vehicle_id, caller, engine, rates, period, (product,))
     return answer(request, shown(vehicle_id, found, product, places=caller.may("positions:read")))
+
+
+@router.get("/vehicles/{vehicle_id}/quote", response_model=PremiumQuote)
+def get_quote(
+    request: Request,
+    vehicle_id: VehiclePath,
+    caller: Reader,
+    engine: Database,
+    rates: RatingRead,
+    period: PeriodAsked,
+    premium_days: Annotated[
+        float | None,
+        Query(
+            gt=0, le=3660, allow_inf_nan=False, description="For how many days; left out, those of the tariff's base."
+        ),
+    ] = None,
+) -> Response:
+    """A premium by the tenant's tariff and the scores of a period, with every step from the base to it.
+
+    A product without a score changes nothing, and its step says why.
+    """
+    found = _scored(vehicle_id, caller, engine, rates, period, tuple(Product))
+    with read(engine) as connection:
+        tariff = rates.tariff(connection, caller.tenant_id)
+    premium = quote(tariff, found.scores, float(tariff.days) if premium_days is None else premium_days)
+    return answer(request, quoted(vehicle_id, found, premium))
 
 
 def _scored(

@@ -32,7 +32,7 @@ from service.bench.target import TargetFailedError
 from service.cells import RESOLUTION
 from service.demo.service_process import ServiceProcess, free_port
 from service.local_days import day_of
-from service.storage import cell_sums, records, schema, tenants, vehicles
+from service.storage import cell_sums, record_sums, records, schema, tenants, vehicles
 from service.storage.database import open_database, read, write
 from service.storage.tables import trip_records, trips
 
@@ -68,7 +68,7 @@ def seed(connection: Connection, vehicle_pk: int, count: int = TRIPS, *, rng: ra
                 "day": day_of(start_ns),
                 "model_sha256": "0" * 64,
                 "assessed_ns": start_ns,
-                "record": record.to_json(cells=False),
+                "record": record_sums.told_of(record),
                 "cells": cell_sums.packed(record.cells),
                 "timeline": bytes(_TIMELINE_BYTES),
             }

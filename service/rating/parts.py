@@ -13,8 +13,9 @@ from typing import Any, Final
 from sqlalchemy import Connection
 
 from core.errors import InvalidInputError
-from core.scoring.model import ScoreModel, score_model_of
+from core.scoring.model import score_model_of
 from core.scoring.places import Places, places_of
+from core.scoring.premium import tariff_of
 from service.risk import loading as risk
 from service.scoring import loading as scoring
 from service.storage import rating
@@ -28,6 +29,7 @@ class Part(StrEnum):
 
     RISK_TABLES = "risk-tables"
     SCORE_MODEL = "score-model"
+    TARIFF = "tariff"
     PLACES = "places"
 
 
@@ -40,12 +42,15 @@ class Kind:
     read: Callable[[str], Any]
 
 
-def _score_model(text: str) -> ScoreModel:
-    try:
-        document = tomllib.loads(text)
-    except ValueError as error:
-        raise InvalidInputError(f"is no TOML: {error}; expected a model as 'telefuse scores model --show'") from error
-    return score_model_of(document)
+def _toml(read: Callable[[Mapping[str, Any]], Any], like: str) -> Callable[[str], Any]:
+    def of(text: str) -> Any:
+        try:
+            document = tomllib.loads(text)
+        except ValueError as error:
+            raise InvalidInputError(f"is no TOML: {error}; expected what 'telefuse {like}' prints") from error
+        return read(document)
+
+    return of
 
 
 def _places(text: str) -> Places | None:
@@ -62,7 +67,8 @@ def _places(text: str) -> Places | None:
 
 KINDS: Final[Mapping[Part, Kind]] = {
     Part.RISK_TABLES: Kind(TOML, lambda: risk.shipped_text(risk.PRESETS[0]), risk.tables_from),
-    Part.SCORE_MODEL: Kind(TOML, lambda: scoring.shipped_text("scores"), _score_model),
+    Part.SCORE_MODEL: Kind(TOML, lambda: scoring.shipped_text("scores"), _toml(score_model_of, "scores model --show")),
+    Part.TARIFF: Kind(TOML, lambda: scoring.shipped_text("tariff"), _toml(tariff_of, "scores tariff")),
     Part.PLACES: Kind(JSON, lambda: "null\n", _places),
 }
 """Nothing is shipped of places: what is risky where, a portfolio's own accidents say."""

@@ -10,6 +10,7 @@ from sqlalchemy import Connection
 
 from core.scoring.model import ScoreModel
 from core.scoring.places import Places
+from core.scoring.premium import Tariff
 from core.scoring.products import score
 from core.scoring.record import Record
 from core.scoring.score import Product, Score
@@ -58,6 +59,11 @@ class Reading:
         """The tenant's score model."""
         model: ScoreModel = self.of(connection, tenant_id, Part.SCORE_MODEL)
         return model
+
+    def tariff(self, connection: Connection, tenant_id: str) -> Tariff:
+        """The tenant's tariff."""
+        tariff: Tariff = self.of(connection, tenant_id, Part.TARIFF)
+        return tariff
 
     def places(self, connection: Connection, tenant_id: str) -> Places | None:
         """The tenant's risk of places."""

@@ -10,8 +10,18 @@ import numpy as np
 
 from core.risk.belief import named
 from core.scoring.explaining import sentence
+from core.scoring.premium import Quote
 from core.scoring.score import Contribution, Product, Score
-from schemas.scores import EvidencePiece, ModelUsed, ProductScore, ScoreContribution, ScorePeriod
+from schemas.scores import (
+    EvidencePiece,
+    ModelUsed,
+    PremiumQuote,
+    ProductScore,
+    QuotedScore,
+    QuoteStep,
+    ScoreContribution,
+    ScorePeriod,
+)
 from service.rating.period import Period
 from service.rating.scoring import Scored
 
@@ -37,13 +47,38 @@ def shown(vehicle_id: str, scored: Scored, product: Product, *, places: bool) ->
         belief=_belief(scored) if product is Product.PHYD else None,
         distance_m=score.distance_m,
         trips=score.trips,
-        model=ModelUsed(
-            name=score.model,
-            version=score.model_version,
-            sha256=score.model_sha256,
-            places_sha256=score.places_sha256,
-        ),
+        model=_model(score),
         reason=score.reason,
+    )
+
+
+def quoted(vehicle_id: str, scored: Scored, premium: Quote) -> PremiumQuote:
+    """A quote, with the scores that it went by."""
+    scores = {
+        product.value: QuotedScore(
+            score=one.score,
+            relativity=one.relativity,
+            relativity_interval95=one.relativity_interval95,
+            reason=one.reason,
+        )
+        for product, one in scored.scores.items()
+    }
+    told = premium.to_json()
+    return PremiumQuote(
+        **told | {"steps": [QuoteStep(**step) for step in told["steps"]]},
+        vehicle_id=vehicle_id,
+        period=_period(scored.period),
+        scores=scores,
+        model=_model(scored.scores[Product.PWYD]),
+    )
+
+
+def _model(score: Score) -> ModelUsed:
+    return ModelUsed(
+        name=score.model,
+        version=score.model_version,
+        sha256=score.model_sha256,
+        places_sha256=score.places_sha256,
     )
 
 

@@ -24,9 +24,9 @@ from sqlalchemy import (
     update,
 )
 
-from core.scoring.record import Record, total_of_json
+from core.scoring.record import Record
 from service.local_days import DEFAULT_ZONE, cover, day_of, month_of, next_month, next_year, year_of
-from service.storage import cell_sums
+from service.storage import cell_sums, record_sums
 from service.storage.statements import insert_into
 from service.storage.tables import record_rollups, trip_records
 
@@ -72,7 +72,7 @@ def put(connection: Connection, row: TripRecord, *, zone: str = DEFAULT_ZONE) ->
         "vehicle_pk": row.vehicle_pk,
         "start_ns": row.start_ns,
         "day": day,
-        "record": row.record.to_json(cells=False),
+        "record": record_sums.told_of(row.record),
         "cells": cell_sums.packed(row.record.cells),
         "timeline": row.timeline,
         "model_sha256": row.model_sha256,
@@ -106,7 +106,7 @@ def find(connection: Connection, trip_id: str) -> TripRecord | None:
     if row is None:
         return None
     told = {name: getattr(row, name) for name in TripRecord.__slots__ if name != "record"}
-    record = replace(Record.from_json(row.record), cells=cell_sums.unpacked([row.cells]))
+    record = record_sums.record_of(row.record, cell_sums.unpacked([row.cells]))
     return TripRecord(record=record, **told)
 
 
@@ -145,9 +145,10 @@ def of_period(
         single = connection.execute(select(*chosen).where(mine, or_(*spans))).all()
     # A day counts as one, however little of it is asked for.
     days = len({day_of(row.start_ns, zone) for row in single})
-    record = Record.from_json(total_of_json(row.record for row in (*rows, *single)))
-    record = replace(record, days=record.days + days)
-    return replace(record, cells=cell_sums.unpacked([row.cells for row in (*rows, *single)])) if cells else record
+    every = (*rows, *single)
+    driven = cell_sums.unpacked([row.cells for row in every]) if cells else None
+    record = record_sums.record_of(record_sums.added(row.record for row in every), driven)
+    return replace(record, days=record.days + days)
 
 
 def bounds_ns(connection: Connection, vehicle_pk: int) -> tuple[int, int] | None:
@@ -240,7 +241,7 @@ def _keep(
 
 
 def _told(period: Period, made_of: Sequence[_Row]) -> dict[str, Any]:
-    told = total_of_json(one.record for one in made_of)
+    told = record_sums.added(one.record for one in made_of)
     if period is Period.DAY:
         told["sums"]["days"] = 1
     return told

@@ -46,7 +46,7 @@ def insurer(service, tenant):
 
 def test_what_is_shipped_holds_until_one_has_ones_own(insurer):
     listed = {one["part"]: one for one in insurer.get("/v1/rating").json()["parts"]}
-    assert set(listed) == {"risk-tables", "score-model", "places"}
+    assert set(listed) == {"risk-tables", "score-model", "tariff", "places"}
     assert insurer.get("/v1/rating/places").json() is None
     listed.pop("places")
     for part, one in listed.items():

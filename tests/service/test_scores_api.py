@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from decimal import Decimal
 
 import pytest
 
@@ -214,3 +215,29 @@ def test_ones_own_model_scores_at_once(service, tenant, insurer, driven):
         )
     after = insurer.get("/v1/vehicles/v1/scores/phyd").json()
     assert (after["model"]["version"], after["score"]) == ("mine", before["score"] - 10.0)
+
+
+def test_a_quote_says_every_step(service, tenant, insurer, driven):
+    told = insurer.get("/v1/vehicles/v1/quote").json()
+    assert [one["name"] for one in told["steps"]][:5] == ["base", "period", "payd", "phyd", "pwyd"]
+    assert sum(Decimal(one["change"]) for one in told["steps"]) == Decimal(told["premium"])
+    assert (told["currency"], told["premium_minor"]) == ("EUR", int(Decimal(told["premium"]) * 100))
+    half = insurer.get("/v1/vehicles/v1/quote", params={"premium_days": 182.5}).json()
+    assert 2 * half["premium_minor"] == pytest.approx(told["premium_minor"], abs=2)
+    with service.client(tenant, "admin") as admin:
+        own = admin.get("/v1/rating/tariff").text.replace('"EUR"', '"CHF"').replace("value = 600.00", "value = 1200")
+        toml = {"content-type": "application/toml"}
+        assert admin.put("/v1/rating/tariff", content=own, headers=toml).status_code == 200
+        bad = admin.put("/v1/rating/tariff", content=own.replace("value = 1200", "value = -1"), headers=toml)
+        assert (bad.status_code, "premium.base" in bad.json()["detail"]) == (422, True)
+    dearer = insurer.get("/v1/vehicles/v1/quote").json()
+    assert (dearer["currency"], dearer["premium_minor"]) == ("CHF", pytest.approx(2 * told["premium_minor"], abs=2))
+
+
+def test_who_never_drove_pays_the_base(service, tenant, insurer):
+    with service.client(tenant, "admin") as admin:
+        admin.put("/v1/vehicles/new", json={})
+    told = insurer.get("/v1/vehicles/new/quote").json()
+    assert told["premium"] == "600.00"
+    assert "nothing was driven" in next(one["text"] for one in told["steps"] if one["name"] == "phyd")
+    assert insurer.get("/v1/vehicles/new/quote", params={"premium_days": 0}).status_code == 422

@@ -14,10 +14,10 @@ from core.scoring.places import places_from
 from core.scoring.products import scores
 from core.scoring.record import BeliefSums, Evidence, Record, SpeedingSums, total
 from service.scoring.loading import shipped_model
-from service.storage import records, vehicles
+from service.storage import vehicles
 from service.storage.database import write
 from service.storage.records import TripRecord
-from tests.service.trip_records import a_trip
+from tests.service.trip_records import put_all
 
 FIRST = datetime(2026, 1, 10, 8, tzinfo=UTC)
 CELLS = ("881f1d4887fffff", "881f1d4889fffff")
@@ -68,10 +68,11 @@ def driven(service, tenant):
     made = [(FIRST + timedelta(days=day), a_record(f"{tenant}-{day}", braking=day % 10 == 0)) for day in range(100)]
     with write(service.database) as connection:
         pk = vehicles.find(connection, tenant, "v1").ref.pk
-        for day, (begin, record) in enumerate(made):
-            trip_id = f"{tenant}-{day}"[-36:]
-            a_trip(connection, pk, trip_id, ns(begin))
-            records.put(connection, TripRecord(trip_id, pk, ns(begin), record, b"", "0" * 64, 1))
+        rows = [
+            TripRecord(f"{tenant}-{day}"[-36:], pk, ns(begin), record, b"", "0" * 64, 1)
+            for day, (begin, record) in enumerate(made)
+        ]
+        put_all(connection, rows)
     return made
 
 

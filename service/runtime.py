@@ -33,6 +33,7 @@ from service.storage import retention, schema
 from service.storage.database import open_database, read
 from service.storage.holding import hold_database
 from service.storage.vehicles import VehicleDirectory, VehicleRef
+from service.trips.worker import TripWorker
 from service.webhooks.outbox import NewEvent
 from service.webhooks.sender import Sender
 
@@ -62,6 +63,7 @@ class Runtime:
     run_files: RunFiles
     calibrating: CalibrationWorker
     proving: EvidenceWorker
+    assessing: TripWorker
     roads: RoadService
     zenoh: ZenohIngest
     reading: Reading
@@ -148,6 +150,9 @@ class Runtime:
         )
         self.proving.start()
         at_stop(self.proving.stop)
+        self.assessing = TripWorker(self.database, self.directory, self.roads, self.metrics)
+        self.assessing.start()
+        at_stop(self.assessing.stop)
         # Nothing is taken before this line, and nothing after its stop; what comes is refused to be sent again.
         self.journal.start()
         at_stop(self.journal.stop)
@@ -166,6 +171,7 @@ class Runtime:
             engine = f"{self.engine.backlog} packets wait to be fused; new ones are turned away"
         return {
             "engine": engine,
+            "trips": None if self.assessing.is_working else "trips are not assessed any more; the log says why",
             "webhooks": "the sender has ended; the log says why" if self._sending.done() else None,
         }
 

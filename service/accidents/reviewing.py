@@ -17,7 +17,7 @@ from core.accident.severity import classify
 from core.accident.thresholds import SeverityThresholds
 from service.accidents.telling import created_event, review_event
 from service.stable_ids import stable_id
-from service.storage import accidents, audit, candidates, evidence, reviews
+from service.storage import accidents, audit, candidates, evidence, reviews, trips
 from service.storage.accidents import REVIEWER, AccidentRow
 from service.storage.candidates import CandidateRow
 from service.storage.reviews import ReviewRow
@@ -46,6 +46,7 @@ def review_accident(
     now_ns = time.time_ns()
     accidents.judge(connection, accident.id, verdict)
     judged = replace(accident, verdict=verdict, status=verdict)
+    trips.mark_trip_due(connection, accident.trip_id, now_ns)
     review = _review(accident, verdict, note, reviewer, accident.status, now_ns)
     _keep(connection, "accident", review)
     event = review_event(judged, review.id, now_ns)
@@ -70,6 +71,7 @@ def review_candidate(
         follows = review_accident(connection, known, "confirmed" if verdict == ACCIDENT else "false", note, reviewer)
         return Reviewed(review, accident_id, follows.event)
     accident = accidents.put(connection, _accident_of(connection, candidate, accident_id, now_ns))
+    trips.mark_trip_due(connection, accident.trip_id, now_ns)
     evidence.ask_for(connection, accident, ref.config, now_ns)
     event = created_event(accident, review.id)
     outbox.publish(connection, event, now_ns)

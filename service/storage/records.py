@@ -173,9 +173,11 @@ def rebuild(connection: Connection, vehicle_pk: int, *, zone: str = DEFAULT_ZONE
     _sum_up(connection, vehicle_pk, set(days.values()), zone)
 
 
-def zones(connection: Connection) -> list[tuple[int, str]]:
-    """Vehicles with the time zones by which their records are summed."""
+def zones(connection: Connection, vehicle_pk: int | None = None) -> list[tuple[int, str]]:
+    """Vehicles, or one of them, with the time zones by which their records are summed."""
     chosen = select(record_rollups.c.vehicle_pk, record_rollups.c.zone).where(record_rollups.c.period == Period.YEAR)
+    if vehicle_pk is not None:
+        chosen = chosen.where(record_rollups.c.vehicle_pk == vehicle_pk)
     return [(pk, zone) for pk, zone in connection.execute(chosen.distinct())]
 
 

@@ -212,8 +212,8 @@ trips = Table(
     Index("ix_trips_vehicle_pk_start_ns", "vehicle_pk", "start_ns"),
     Index("ix_trips_due_ns", "due_ns"),
 )
-"""``due_ns`` is when, by the service's clock, a trip is to be assessed, or assessed anew as something about it changed;
-null while there is nothing to do. ``model_sha256`` names what it was assessed by."""
+"""``due_ns`` is since when, by the service's clock, a trip waits to be assessed, or assessed anew as something about it
+changed; null where there is nothing to do. ``model_sha256`` names what it was assessed by."""
 
 manoeuvres = Table(
     "manoeuvres",

@@ -11,7 +11,7 @@ References: Buehlmann & Gisler, *A Course in Credibility Theory* (2005), 2.4; Co
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -19,6 +19,10 @@ from scipy.special import gammaincinv
 
 TAILS: Final = (0.025, 0.975)
 """Of an interval of 95 %."""
+FLATTEST: Final = 1e4
+"""Shape beyond which there is no difference: 1 % of sd."""
+STEEPEST: Final = 0.25
+"""Least shape: few counts would have it that nearly all of it is in a row or two. A choice."""
 _Z: Final = 1.959963984540054
 """The normal's quantile there."""
 _BEND: Final = 3.0 / (_Z * _Z - 1.0)
@@ -66,6 +70,27 @@ class Shrunk:
 def shape_of(spread: float) -> float:
     """The Gamma's shape by the sd between drivers over the mean."""
     return 1.0 / (spread * spread)
+
+
+def poisson_interval(count: int) -> tuple[float, float]:
+    """The exact interval of 95 % of a mean of which so many were counted (Garwood 1936)."""
+    low = float(gammaincinv(count, TAILS[0])) if count else 0.0
+    return low, float(gammaincinv(count + 1, TAILS[1]))
+
+
+def shape_by_moments(counts: Sequence[float], expected: Sequence[float]) -> float:
+    """The Gamma's shape between rows, from their counts and what each would have at the mean rate.
+
+    The variance of relative rates is (sum (n - E)^2 - sum E) / sum E^2 (Marshall 1991; Clayton & Kaldor 1987), E
+    brought to as many as there were; within ``FLATTEST`` and ``STEEPEST``, the first where nothing was counted.
+    """
+    all_counts, all_expected = math.fsum(counts), math.fsum(expected)
+    if not (all_counts > 0.0 and all_expected > 0.0):
+        return FLATTEST
+    means = [all_counts / all_expected * one for one in expected]
+    squares = math.fsum((count - mean) ** 2 for count, mean in zip(counts, means, strict=True))
+    variance = (squares - all_counts) / math.fsum(mean * mean for mean in means)
+    return FLATTEST if variance <= 1.0 / FLATTEST else max(1.0 / variance, STEEPEST)
 
 
 def summed(parts: Iterable[Estimate], correlation: float = 0.0) -> Estimate:

@@ -90,6 +90,31 @@ def test_the_model_is_shown_as_it_is_written(tmp_path: Path, capsys) -> None:
     assert tomllib.loads(shown)["version"] == "1"
 
 
+def test_a_model_with_a_portfolios_own_values(record: Path, tmp_path: Path, capsys) -> None:
+    path = tmp_path / "portfolio.jsonl"
+    calm = RECORD | {"manoeuvres": {}}
+    path.write_text("".join(json.dumps({"days": 30, "record": one}) + "\n" for one in (RECORD, calm)) + "\n")
+    status, out, err = call(capsys, "scores", "fit", path)
+    assert (status, err) == (0, "")
+    mine = tmp_path / "mine.json"
+    mine.write_text(out)
+    status, out, _ = call(
+        capsys, "scores", "score", record, "--days", 30, "--product", "phyd", "--model", mine, "--explain"
+    )
+    assert status == 0
+    assert "12 harsh brakings in 840 km: 1.4 per 100 km, others 0.7" in out
+    for line, message in (
+        ("{}", 'line 1: expected {"days": N, "record": {…}}'),
+        ("{", "line 1: "),
+        (json.dumps({"days": 30, "record": {"trips": -1}}), "line 1: trips is -1"),
+        ("", "0 drivers with a distance: expected 2 or more"),
+    ):
+        path.write_text(line)
+        assert message in _refused(capsys, "fit", path)
+    mine.write_text("[]")
+    assert "is no JSON: no object" in _refused(capsys, "model", "--model", mine)
+
+
 def _with(**changes: Any) -> dict[str, Any]:
     return RECORD | changes
 

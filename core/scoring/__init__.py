@@ -16,6 +16,7 @@ All of it is pure: the same record, period and model give the same bits. What ca
 ``places``: ``places_from(exposure: {cell: Driven}, accidents: {cell: int}) -> Places`` out of a portfolio's sums,
     ``Places.to_json()``, ``places_of(json)``; ``sha256`` goes into the score as ``places_sha256``.
 ``premium``: ``tariff_of(document) -> Tariff``, ``quote(tariff, scores, days) -> Quote``, ``Quote.to_json()``.
+``fitting``: ``fitted(document, [(record, days), ...]) -> document`` puts a portfolio's own values into a model.
 ``fairness``: ``fairness(rows) -> dict`` of rows (age, sex, score, predicted, claims).
 
 A contribution's evidence is what the record keeps under the contribution's own name: ``mileage``, ``night`` and the

@@ -13,7 +13,7 @@ _TIMES: Final = {
     "midday": "around midday (10 to 15 h)",
     "afternoon": "in the afternoon (15 to 19 h)",
     "evening": "in the evening (19 to 22 h)",
-    "other_hours": "at other hours",
+    "hour:others": "at other hours",
 }
 _COUNTED: Final[Mapping[str, tuple[str, str]]] = {
     "braking": ("harsh braking", "harsh brakings"),

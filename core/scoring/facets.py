@@ -21,19 +21,21 @@ class Facet:
 
     Parameters
     ----------
+    name, label : of all of it, as ``road_class`` and ``roads``
     relativity : by label, the portfolio's mean 1; a label that is not there counts as that
     sd : by label, how unsure its relativity is itself; none where it is taken as told
     share : the portfolio's, by label; may be empty
     group : the name and label under which a label is told
-    told : as many groups are told one by one, the others together as ``others``
+    told : as many groups are told one by one, the others together
     weight : exponent of the facet's relativity
     """
 
+    name: str
+    label: str
     relativity: Mapping[str, float]
     sd: Mapping[str, float]
     share: Mapping[str, float]
     group: Callable[[str], tuple[str, str]]
-    others: tuple[str, str]
     shape: float
     count_km: float
     told: int
@@ -82,9 +84,11 @@ def facet_part(facet: Facet, exposed: Mapping[str, Driven], record: Record) -> P
         facet.weight * math.log(factor + spread.high),
     )
     per_excess = math.log(factor) / (factor - 1.0) if abs(factor - 1.0) > 1e-9 else 1.0 / (0.5 * (factor + 1.0))
-    shares = [
-        (contribution, facet.weight * per_excess * part) for contribution, part in _told(facet, known, excess, record)
-    ]
+    if k > NEVER_KNOWN:
+        told = _told(facet, {label: share / k for label, share in known.items()}, excess, record)
+    else:
+        told = [(Contribution(facet.name, facet.label, 0.0, unit="1"), 0.0)]
+    shares = [(contribution, facet.weight * per_excess * part) for contribution, part in told]
     return Part(ln, shares, facet.weight**2 / facet.shape, k * shrunk.credibility)
 
 
@@ -97,7 +101,9 @@ def _told(
     weights = {group: math.fsum(excess[label] for label in labels) for group, labels in grouped.items()}
     ranked = sorted(grouped, key=lambda group: (-abs(weights[group]), group))
     others = [label for group in ranked[facet.told :] for label in grouped[group]]
-    told = {group: grouped[group] for group in ranked[: facet.told]} | ({facet.others: others} if others else {})
+    told = {group: grouped[group] for group in ranked[: facet.told]} | (
+        {(f"{facet.name}:others", f"other {facet.label}"): others} if others else {}
+    )
     made = []
     for (name, label), labels in told.items():
         usual = math.fsum(facet.share[one] for one in labels) if facet.share else None

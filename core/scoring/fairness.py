@@ -7,11 +7,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from scipy.special import gammaincinv
-
 from core.errors import InvalidInputError
 from core.risk.driver import OLDEST, Driver
-from core.scoring.credibility import TAILS
+from core.scoring.credibility import poisson_interval
 
 AGE_BANDS: Final = ((14, 25), (25, 45), (45, 65), (65, OLDEST + 1))
 """From, and up to; as US 2016-17 tells fatal crashes (PMC7403895, table 2)."""
@@ -103,7 +101,9 @@ def _groups(rows: Sequence[Scored], groups: Sequence[str], left: Sequence[float]
                 "claims": claims,
                 "predicted": predicted,
                 "actual_over_predicted": ratio,
-                "actual_over_predicted_interval95": None if ratio is None else _poisson(claims, predicted),
+                "actual_over_predicted_interval95": (
+                    None if ratio is None else [end / predicted for end in poisson_interval(claims)]
+                ),
                 "gap": _gap([row.score for row in rows], inside, outside),
                 "controlled_gap": None if left is None else _gap(left, inside, outside),
             }
@@ -123,11 +123,6 @@ def _gap(values: Sequence[float], inside: Sequence[int], outside: Sequence[int])
 def _mean(values: Sequence[float]) -> tuple[float, float]:
     mean = math.fsum(values) / len(values)
     return mean, math.fsum((value - mean) ** 2 for value in values) / (len(values) - 1)
-
-
-def _poisson(count: int, predicted: float) -> list[float]:
-    low = float(gammaincinv(count, TAILS[0])) if count else 0.0
-    return [low / predicted, float(gammaincinv(count + 1, TAILS[1])) / predicted]
 
 
 def _residuals(rows: Sequence[Scored]) -> list[float] | None:

@@ -13,7 +13,6 @@ from core.scoring.record import Record
 from core.scoring.score import Basis, Contribution, Part, Product, Score, checked_days, evidence_of, nothing_driven
 
 DAYS_PER_YEAR: Final = 365.25
-_HOURS: Final = "hours from {} to {}"
 
 
 def payd(record: Record, days: float, model: ScoreModel) -> Score:
@@ -35,11 +34,12 @@ def payd(record: Record, days: float, model: ScoreModel) -> Score:
     coverage = {"hour": known_share(hours, model.hour.relativity, record.exposure.total.distance_mm)}
     basis = Basis(Product.PAYD, record, days, model, coverage=coverage)
     facet = Facet(
+        name="hour",
+        label="hours",
         relativity=model.hour.relativity,
         sd={},
         share=model.hour.share,
         group=lambda hour: (model.hour.groups[hour], model.hour.groups[hour]),
-        others=("other_hours", "other hours"),
         shape=model.hour.shape,
         count_km=model.hour.count_km,
         told=len(model.hour.relativity),

@@ -11,7 +11,7 @@ from core.scoring.model import Regressor, ScoreModel
 from core.scoring.record import BeliefSums, Record
 from core.scoring.score import Basis, Contribution, Part, Product, Score, checked_days, evidence_of, nothing_driven
 
-_KMH: Final = 3.6
+KMH: Final = 3.6
 LABELS: Final = {
     "braking": "harsh braking",
     "acceleration": "harsh acceleration",
@@ -90,7 +90,7 @@ def _speeding(record: Record, model: ScoreModel) -> Part:
     """
     regressor, speeding = model.speeding, record.speeding
     share = speeding.certain_over_ms / speeding.certain_ms if speeding.certain_ms else None
-    excess_kmh = _KMH * speeding.excess_mm / speeding.over_ms if speeding.over_ms else None
+    excess_kmh = KMH * speeding.excess_mm / speeding.over_ms if speeding.over_ms else None
     hours = speeding.certain_ms / 3.6e6 / regressor.exposure
     observed = (share or 0.0) * (excess_kmh or 0.0) / regressor.portfolio
     shrunk = Shrunk(regressor.shape, hours * observed, hours)

@@ -5,17 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 from core.driving.exposure import UNKNOWN, Driven
 from core.errors import InvalidInputError
-from core.scoring.credibility import Shrunk
+from core.scoring.credibility import Shrunk, shape_by_moments
 from core.scoring.numbers import digest, is_number
-
-FLATTEST: Final = 1e4
-"""Shape beyond which cells do not differ: 1 % of sd."""
-STEEPEST: Final = 0.25
-"""Least shape: few accidents would have it that nearly all risk is in a cell or two. A choice."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +37,8 @@ def places_from(exposure: Mapping[str, Driven], accidents: Mapping[str, int]) ->
     """Relativities of cells from what a portfolio drove in each, and how many accidents it had there.
 
     A cell's accidents are Poisson with mean E r, E by its share of the distance, r Gamma between cells with mean 1. The
-    Gamma's variance is by moments, (sum (n - E)^2 - sum E) / sum E^2 (Marshall 1991; Clayton & Kaldor 1987), so cells
-    without an accident are believed as far as they were driven in. Without an accident all cells are alike.
+    Gamma's variance is by moments (``shape_by_moments``), so cells without an accident are believed as far as they were
+    driven in. Without an accident all cells are alike.
 
     Raises
     ------
@@ -59,11 +54,7 @@ def places_from(exposure: Mapping[str, Driven], accidents: Mapping[str, int]) ->
         raise InvalidInputError(f"{counts[strange[0]]} accidents in cell '{strange[0]}', where nothing was driven")
     total, distance_mm = sum(counts.values()), sum(driven.values())
     expected = {cell: total * mm / distance_mm for cell, mm in driven.items()}
-    shape = FLATTEST
-    if total:
-        squares = math.fsum((counts.get(cell, 0) - mean) ** 2 for cell, mean in expected.items())
-        variance = (squares - total) / math.fsum(mean * mean for mean in expected.values())
-        shape = FLATTEST if variance <= 1.0 / FLATTEST else max(1.0 / variance, STEEPEST)
+    shape = shape_by_moments([counts.get(cell, 0) for cell in expected], list(expected.values()))
     shrunk = {cell: Shrunk(shape, float(counts.get(cell, 0)), mean) for cell, mean in expected.items()}
     return _places(
         shape,

@@ -38,17 +38,18 @@ def pwyd(record: Record, days: float, model: ScoreModel, places: Places | None =
     basis = Basis(Product.PWYD, record, days, model, sha256, coverage)
     if not any(coverage.values()):
         return basis.unscored("no class of road, district or cell of it is known")
-    parts = [facet_part(_facet(model.road_class, "road_class", "road", model.told), roads, record)]
+    parts = [facet_part(_facet(model.road_class, "road_class", "roads", model.told), roads, record)]
     if model.district.relativity:
         rest = 1.0 - coverage["cell"]
-        parts.append(facet_part(_facet(model.district, "district", "district", model.told, rest), districts, record))
+        parts.append(facet_part(_facet(model.district, "district", "districts", model.told, rest), districts, record))
     if places is not None:
         cells = Facet(
+            name="cell",
+            label="areas",
             relativity=cell_risk,
             sd=places.sd,
             share={},
             group=lambda cell: (f"cell:{cell}", f"area {cell}"),
-            others=("cell:others", "other areas"),
             shape=model.cell_shape,
             count_km=model.cell_count_km,
             told=model.told,
@@ -59,14 +60,16 @@ def pwyd(record: Record, days: float, model: ScoreModel, places: Places | None =
 
 def _facet(risk: FacetRisk, name: str, label: str, told: int, weight: float = 1.0) -> Facet:
     def group(one: str) -> tuple[str, str]:
-        return f"{name}:{risk.groups[one]}", f"{label} {risk.groups[one].replace('_', ' ')}"
+        told = risk.groups[one]
+        return f"{name}:{told}", f"roads of class {told.replace('_', ' ')}" if name == "road_class" else told
 
     return Facet(
+        name=name,
+        label=label,
         relativity=risk.relativity,
         sd={},
         share=risk.share,
         group=group,
-        others=(f"{name}:others", f"other {label}s"),
         shape=risk.shape,
         count_km=risk.count_km,
         told=told,

@@ -37,7 +37,7 @@ class Contribution:
     label : for people
     points : multiple of ``GRAIN``; below 0 it costs
     relativity : factor of the expected claims that it makes; 1 of base and limit
-    value : as driven, in ``unit``; None where it is not known
+    value : as driven, in ``unit``; None where it is not known; a share is of what is known
     counted : as it counts, after credibility and cap
     portfolio : the portfolio's
     count : of manoeuvres and the like; None where nothing is counted

@@ -7,10 +7,10 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammaincinv
 from scipy.stats import rankdata
 
 from core.measurements import FloatArray
+from core.scoring.credibility import poisson_interval
 
 IntArray = npt.NDArray[np.int64]
 Claims = IntArray | FloatArray
@@ -71,8 +71,7 @@ def reliability(predicted: FloatArray, claims: IntArray, true: FloatArray, group
     rows = []
     for part in np.array_split(order, groups):
         count, expected = int(claims[part].sum()), float(predicted[part].sum())
-        low = float(gammaincinv(count, 0.025)) if count else 0.0
-        high = float(gammaincinv(count + 1, 0.975))
+        low, high = poisson_interval(count)
         rows.append(
             {
                 "drivers": len(part),

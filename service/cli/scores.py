@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from core.scoring.explaining import explain
+from core.scoring.fitting import fitted
 from core.scoring.premium import quote
 from core.scoring.products import score
 from core.scoring.score import Product
@@ -25,12 +26,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     model.add_argument(
         "--show", action="store_true", help="print the shipped file, with its sources, to begin one's own"
     )
-    model.add_argument("--model", type=Path, metavar="FILE.toml", help="check a model of your own instead")
+    model.add_argument("--model", type=Path, metavar="FILE", help="check a model of your own instead")
     model.set_defaults(part_run=_model)
     tariff = parts.add_parser("tariff", help="print the example of a tariff, to begin one's own with")
     tariff.add_argument("--tariff", type=Path, metavar="FILE.toml", help="check a tariff of your own instead")
     tariff.set_defaults(part_run=_tariff)
     _configure_score(parts.add_parser("score", help="score a record, and quote a premium"))
+    fit = parts.add_parser("fit", help="put a portfolio's own values into a model: what others do, and how they differ")
+    fit.add_argument(
+        "portfolio", type=Path, metavar="RECORDS.jsonl", help='{"days": N, "record": {…}} a line, a driver each'
+    )
+    fit.add_argument("--model", type=Path, metavar="FILE", help="the model to begin with (default: the shipped one)")
+    fit.set_defaults(part_run=_fit)
     fair = parts.add_parser("fairness", help="scores by age and sex over a simulated portfolio with known claim rates")
     fair.add_argument(
         "--drivers", type=int, default=fairness.DRIVERS, metavar="N", help="how many (default %(default)s)"
@@ -49,7 +56,9 @@ def _configure_score(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--days", type=float, required=True, metavar="N", help="length of the period, driven or not")
     parser.add_argument("--product", choices=[one.value for one in Product], help="only this one (default: all)")
     parser.add_argument("--tariff", type=Path, metavar="FILE.toml", help="quote a premium of these days by this tariff")
-    parser.add_argument("--model", type=Path, metavar="FILE.toml", help="your own; see 'telefuse scores model --show'")
+    parser.add_argument(
+        "--model", type=Path, metavar="FILE", help="your own; see 'telefuse scores model --show' and 'fit'"
+    )
     parser.add_argument("--places", type=Path, metavar="FILE.json", help="relativities of H3 cells, for pwyd")
     parser.add_argument("--explain", action="store_true", help="print sentences for the driver instead of JSON")
     parser.set_defaults(part_run=_score)
@@ -100,6 +109,12 @@ def _tariff(arguments: argparse.Namespace) -> int:
         return 0
     tariff = loading.tariff(arguments.tariff)
     print(f"{tariff.name} {tariff.version} sha256 {tariff.sha256}")
+    return 0
+
+
+def _fit(arguments: argparse.Namespace) -> int:
+    document = loading.model_document(arguments.model)
+    print(json.dumps(fitted(document, loading.portfolio(arguments.portfolio)), indent=2, allow_nan=False))
     return 0
 
 

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from core.errors import InvalidInputError
 from core.scoring.model import ScoreModel, score_model_of
+from core.scoring.numbers import is_number
 from core.scoring.places import Places, places_of
 from core.scoring.premium import Tariff, tariff_of
 from core.scoring.record import Record
@@ -31,11 +32,40 @@ def score_model(own: Path | None = None) -> ScoreModel:
     """The model by a user's file, or the shipped one; raises UsageError that says what is wrong in it."""
     if own is None:
         return shipped_model()
-    document = _read_toml(own, "scores model --show")
+    document = model_document(own)
     try:
         return score_model_of(document)
     except InvalidInputError as error:
         raise UsageError(f"{own}: {error}") from None
+
+
+def model_document(own: Path | None = None) -> dict[str, Any]:
+    """The model as its file says it: TOML, or JSON as 'scores fit' prints it."""
+    if own is None:
+        return tomllib.loads(shipped_text("scores"))
+    if own.suffix.lower() == ".json":
+        return _parsed(own, json.loads, "JSON: {}; expected a model as 'telefuse scores fit' prints")
+    return _read_toml(own, "scores model --show")
+
+
+def portfolio(path: Path) -> list[tuple[Record, float]]:
+    """Records with their periods in days, one JSON object a line; raises UsageError that names the line."""
+    found = []
+    for number, line in enumerate(_text(path).splitlines(), 1):
+        if not line.strip():
+            continue
+        try:
+            told = json.loads(line)
+            if (
+                not isinstance(told, dict)
+                or not is_number(told.get("days"))
+                or not isinstance(told.get("record"), dict)
+            ):
+                raise InvalidInputError('expected {"days": N, "record": {…}}')
+            found.append((record_of(told["record"]), float(told["days"])))
+        except (ValueError, RecursionError, InvalidInputError) as error:
+            raise UsageError(f"{path}: line {number}: {error}") from None
+    return found
 
 
 @cache
@@ -81,12 +111,7 @@ def _read_toml(path: Path, like: str) -> dict[str, Any]:
 
 
 def _parsed(path: Path, parse: Callable[[str], Any], expected: str) -> dict[str, Any]:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: is no UTF-8 text: {error.reason} at byte {error.start}") from error
+    text = _text(path)
     try:
         document = parse(text)
     except (ValueError, RecursionError) as error:
@@ -94,3 +119,12 @@ def _parsed(path: Path, parse: Callable[[str], Any], expected: str) -> dict[str,
     if not isinstance(document, dict):
         raise UsageError(f"{path}: is no {expected.format('no object')}")
     return document
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: is no UTF-8 text: {error.reason} at byte {error.start}") from error

@@ -90,7 +90,7 @@ class ScoreBody(EventBody):
 
     vehicle_id: str
     trip_id: str | None = Field(description="The trip that changed them, or whose record was changed")
-    cause: str = Field(description="trip, review, accident or erasure")
+    cause: str = Field(description="trip: one more; rescored: a review, an accident or later data changed one; erasure")
     from_ns: int = Field(description="Begin of the period")
     to_ns: int = Field(description="End of the period")
     scores: dict[str, ScoreFigures] = Field(description="By product: payd, phyd, pwyd")

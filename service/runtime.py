@@ -150,7 +150,9 @@ class Runtime:
         )
         self.proving.start()
         at_stop(self.proving.stop)
-        self.assessing = TripWorker(self.database, self.directory, self.roads, self.metrics)
+        self.assessing = TripWorker(
+            self.database, self.directory, self.roads, self.metrics, reading=self.reading, tell=self.tell
+        )
         self.assessing.start()
         at_stop(self.assessing.stop)
         # Nothing is taken before this line, and nothing after its stop; what comes is refused to be sent again.

@@ -15,8 +15,9 @@ from core.scoring.products import score
 from core.scoring.record import Record
 from core.scoring.score import Product, Score
 from service.local_days import DEFAULT_ZONE
-from service.rating.parts import Part, holding
+from service.rating.parts import Holding, Part, holding
 from service.rating.period import Asked, Period, period_of
+from service.risk.loading import RiskBasis, risk_basis
 from service.storage import rating, records
 from service.storage.vehicles import VehicleRef
 
@@ -38,42 +39,50 @@ class Reading:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._read: dict[tuple[str, Part, int], Any] = {}
+        self._read: dict[tuple[str, Part, int], tuple[Holding, Any]] = {}
 
-    def of(self, connection: Connection, tenant_id: str, part: Part) -> Any:
-        """What a part of a tenant's says, as it holds now; None for places where there are none."""
+    def of(self, connection: Connection, tenant_id: str, part: Part) -> tuple[Holding, Any]:
+        """The version of a part that holds for a tenant now, and what it says."""
         key = (tenant_id, part, rating.newest_version(connection, tenant_id, part))
         with self._lock:
             if key in self._read:
                 return self._read[key]
         held = holding(connection, tenant_id, part)
         assert held is not None
-        read = held.read()
+        read = held, held.read()
         with self._lock:
             if len(self._read) >= _MOST_READ:
                 self._read.clear()
             self._read[key] = read
         return read
 
+    def risk(self, connection: Connection, tenant_id: str) -> RiskBasis:
+        """What the tenant's trips are assessed by."""
+        held, tables = self.of(connection, tenant_id, Part.RISK_TABLES)
+        return risk_basis(held.text, tables)
+
     def model(self, connection: Connection, tenant_id: str) -> ScoreModel:
         """The tenant's score model."""
-        model: ScoreModel = self.of(connection, tenant_id, Part.SCORE_MODEL)
+        _, model = self.of(connection, tenant_id, Part.SCORE_MODEL)
+        assert isinstance(model, ScoreModel)
         return model
 
     def tariff(self, connection: Connection, tenant_id: str) -> Tariff:
         """The tenant's tariff."""
-        tariff: Tariff = self.of(connection, tenant_id, Part.TARIFF)
+        _, tariff = self.of(connection, tenant_id, Part.TARIFF)
+        assert isinstance(tariff, Tariff)
         return tariff
 
     def places(self, connection: Connection, tenant_id: str) -> Places | None:
-        """The tenant's risk of places."""
-        places: Places | None = self.of(connection, tenant_id, Part.PLACES)
+        """The tenant's risk of places; None where there is none."""
+        _, places = self.of(connection, tenant_id, Part.PLACES)
+        assert places is None or isinstance(places, Places)
         return places
 
 
 def zone_of(ref: VehicleRef) -> str:
     """The time zone by which a vehicle's days begin."""
-    return getattr(ref.config, "time_zone", None) or DEFAULT_ZONE
+    return ref.config.time_zone or DEFAULT_ZONE
 
 
 def scored(

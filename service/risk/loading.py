@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import tomllib
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -21,6 +23,21 @@ PRESETS: Final = ("default", "paper")
 def risk_model(preset: str = PRESETS[0], own: Path | None = None, rule: str = RULES[0]) -> RiskModel:
     """The model by a preset, or by a user's own tables; raises UsageError that says what is wrong in them."""
     return RiskModel(preset_tables(preset) if own is None else own_tables(own), vehicle_model(), rule)
+
+
+@dataclass(frozen=True, slots=True)
+class RiskBasis:
+    """A model with the digest of every file that it is made of."""
+
+    model: RiskModel
+    sha256: str
+
+
+def risk_basis(text: str, tables: RiskTables) -> RiskBasis:
+    """The model of tables, which were read from ``text``, with the vehicle's systems and the rule."""
+    model = RiskModel(tables, vehicle_model(), RULES[0])
+    told = "".join((text, shipped_text("vehicle"), model.rule))
+    return RiskBasis(model, hashlib.sha256(told.encode()).hexdigest())
 
 
 @cache

@@ -381,7 +381,7 @@ reviews = Table(
     Column("created_ns", BigInteger, nullable=False),
     Index("ix_reviews_subject_id_created_ns", "subject_id", "created_ns"),
 )
-"""What people said of accidents and candidates (``subject_id``); ``reviewer`` is the id of the API key, null while
+"""What people said of accidents, candidates, manoeuvres (``subject_id``); ``reviewer`` is an API key's id, null while
 auth is off; ``before`` and ``after`` are the subject's status."""
 
 erasure_requests = Table(

@@ -33,7 +33,7 @@ from service.storage import retention, schema
 from service.storage.database import open_database, read
 from service.storage.holding import hold_database
 from service.storage.vehicles import VehicleDirectory, VehicleRef
-from service.trips.worker import TripWorker
+from service.trips.worker import TripPolicy, TripWorker
 from service.webhooks.outbox import NewEvent
 from service.webhooks.sender import Sender
 
@@ -151,7 +151,13 @@ class Runtime:
         self.proving.start()
         at_stop(self.proving.stop)
         self.assessing = TripWorker(
-            self.database, self.directory, self.roads, self.metrics, reading=self.reading, tell=self.tell
+            self.database,
+            self.directory,
+            self.roads,
+            self.metrics,
+            reading=self.reading,
+            policy=TripPolicy(silent_s=settings.trip_silence_s),
+            tell=self.tell,
         )
         self.assessing.start()
         at_stop(self.assessing.stop)

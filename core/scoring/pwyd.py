@@ -15,7 +15,7 @@ def pwyd(record: Record, days: float, model: ScoreModel, places: Places | None =
 
     A place counts once: by its cell where the portfolio's own figures know that, and for the share of the distance
     where they do not, by its district, whose exponent is that share. What has no relativity counts as the portfolio's
-    mean.
+    mean; where nothing has, the score is the portfolio's, its interval as wide as drivers differ, and coverage is 0.
 
     Raises
     ------
@@ -36,8 +36,6 @@ def pwyd(record: Record, days: float, model: ScoreModel, places: Places | None =
         "cell": known_share(record.cells, cell_risk, total_mm),
     }
     basis = Basis(Product.PWYD, record, days, model, sha256, coverage)
-    if not any(coverage.values()):
-        return basis.unscored("no class of road, district or cell of it is known")
     parts = [facet_part(_facet(model.road_class, "road_class", "roads", model.told), roads, record)]
     if model.district.relativity:
         rest = 1.0 - coverage["cell"]

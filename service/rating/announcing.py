@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 from sqlalchemy import Connection
 
 from core.scoring.score import Product
@@ -18,8 +16,8 @@ from service.webhooks.outbox import NewEvent
 
 def announce(
     connection: Connection, reading: Reading, ref: VehicleRef, *, cause: str, trip_id: str | None, now_ns: int
-) -> NewEvent | None:
-    """Publish the scores of a vehicle's last year; None where the very same were told of that trip before.
+) -> NewEvent:
+    """Publish the scores of a vehicle's last year, once a change: ``now_ns`` tells changes apart.
 
     The event is to be handed on once the transaction is committed.
     """
@@ -38,10 +36,8 @@ def announce(
         model_version=any_of_them.model_version,
         model_sha256=any_of_them.model_sha256,
     ).model_dump()
-    # The same trip assessed twice makes the same scores; a review of it makes others, which are told.
-    about = f"{ref.tenant_id}/{ref.vehicle_id}/{trip_id}/{json.dumps(body, sort_keys=True)}"
     event = NewEvent(
-        id=event_id(about, EventType.SCORE_UPDATED.value),
+        id=event_id(f"{ref.tenant_id}/{ref.vehicle_id}/{trip_id}/{now_ns}", EventType.SCORE_UPDATED.value),
         tenant_id=ref.tenant_id,
         vehicle_pk=ref.pk,
         type=EventType.SCORE_UPDATED.value,
@@ -49,4 +45,5 @@ def announce(
         received_ns=now_ns,
         body=body,
     )
-    return event if outbox.publish(connection, event, now_ns) else None
+    outbox.publish(connection, event, now_ns)
+    return event

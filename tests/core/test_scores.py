@@ -212,10 +212,11 @@ def test_an_unknown_road_counts_as_the_mean_and_lowers_coverage() -> None:
     assert _width(half) > _width(known)
     unknown = driven(1000.0, None, {"": 1.0})
     nothing = score("pwyd", unknown, 30.0, MODEL)
-    assert nothing.score is None
-    assert "no class of road" in nothing.reason
+    assert (nothing.score, nothing.relativity, nothing.credibility) == (MODEL.scale.base, 1.0, 0.0)
+    assert set(nothing.coverage.values()) == {0.0}
+    assert _width(nothing) > _width(half)
     elsewhere = replace(unknown, cells={"zz": Driven(1000 * KM, 0)})
-    assert score("pwyd", elsewhere, 30.0, MODEL, PLACES).score is None
+    assert score("pwyd", elsewhere, 30.0, MODEL, PLACES).score == MODEL.scale.base
 
 
 @pytest.mark.parametrize(

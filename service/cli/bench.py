@@ -27,6 +27,7 @@ from service.bench import (
     navigation_report,
     report,
     roads,
+    score_queries,
     scores,
     scores_report,
     stages,
@@ -88,6 +89,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--driving",
         action="store_true",
         help="measure the driving manoeuvres instead: what is found of those of labelled trips, and what beside them",
+    )
+    instead.add_argument(
+        "--score-queries",
+        action="store_true",
+        help="measure how long a score over HTTP takes instead, of a vehicle with 10 000 trips over five years",
+    )
+    parser.add_argument(
+        "--database",
+        metavar="URL",
+        help="with --score-queries: an empty database, such as postgresql+psycopg://USER@HOST/NAME (default: SQLite)",
     )
     instead.add_argument(
         "--scores",
@@ -155,6 +166,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--km is for --accidents; expected --accidents beside it")
     if arguments.drivers is not None and not arguments.scores:
         raise UsageError("--drivers is for --scores; expected --scores beside it")
+    if arguments.database is not None and not arguments.score_queries:
+        raise UsageError("--database is for --score-queries; expected --score-queries beside it")
+    if arguments.score_queries:
+        with unwinding_on_sigterm(), Phases() as phases:
+            queried = score_queries.measure(arguments.database, partial(phases.tell, "score queries"))
+        print(json.dumps(queried) if arguments.json else score_queries.lines(queried))
+        return 0
     if arguments.kernel:
         _print_kernel(as_json=arguments.json)
         return 0

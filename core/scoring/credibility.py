@@ -23,9 +23,9 @@ FLATTEST: Final = 1e4
 """Shape beyond which there is no difference: 1 % of sd."""
 STEEPEST: Final = 0.25
 """Least shape: few counts would have it that nearly all of it is in a row or two. A choice."""
-_Z: Final = 1.959963984540054
+NORMAL_95: Final = 1.959963984540054
 """The normal's quantile there."""
-_BEND: Final = 3.0 / (_Z * _Z - 1.0)
+_BEND: Final = 3.0 / (NORMAL_95**2 - 1.0)
 
 
 class Estimate(NamedTuple):
@@ -108,7 +108,7 @@ def summed(parts: Iterable[Estimate], correlation: float = 0.0) -> Estimate:
     if len(listed) == 1:
         return listed[0]
     value = math.fsum(part.value for part in listed)
-    sds = [(part.high - part.low) / (2.0 * _Z) for part in listed]
+    sds = [(part.high - part.low) / (2.0 * NORMAL_95) for part in listed]
     # The third root of the third cumulant, which scales as the part does.
     roots = [
         math.cbrt(_BEND * (part.high + part.low - 2.0 * part.value) * sd * sd)
@@ -119,4 +119,4 @@ def summed(parts: Iterable[Estimate], correlation: float = 0.0) -> Estimate:
         return Estimate(value, value, value)
     third = (1.0 - correlation) * math.fsum(one**3 for one in roots) + correlation * math.fsum(roots) ** 3
     bend = third / (2.0 * _BEND * sd * sd)
-    return Estimate(value, min(value, value + bend - _Z * sd), max(value, value + bend + _Z * sd))
+    return Estimate(value, min(value, value + bend - NORMAL_95 * sd), max(value, value + bend + NORMAL_95 * sd))

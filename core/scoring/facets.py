@@ -8,11 +8,14 @@ from dataclasses import dataclass
 from typing import Final
 
 from core.driving.exposure import Driven
-from core.scoring.credibility import Estimate, Shrunk, summed
+from core.scoring.credibility import NORMAL_95, Estimate, Shrunk, summed
 from core.scoring.record import Record
 from core.scoring.score import Contribution, Part, evidence_of
 
 NEVER_KNOWN: Final = 1e-9
+_FLAT: Final = 1e-9
+"""As near to 1 a ratio of differences is left to rounding, and its limit is exact to as much."""
+_LEAST: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,27 +72,34 @@ def facet_part(facet: Facet, exposed: Mapping[str, Driven], record: Record) -> P
         for label, usual in against.items()
     }
     factor = 1.0 + math.fsum(excess.values())
-    own, unknown = shrunk.estimate, Shrunk(facet.shape, 0.0, 0.0).estimate
-    sd = math.sqrt(math.fsum((share * facet.sd.get(label, 0.0)) ** 2 for label, share in known.items()))
-    # Unknown roads may well be like the known ones: their errors add up, and do not cancel as independent ones would.
-    low = k * (own.low - own.value) + (1.0 - k) * (unknown.low - 1.0)
-    high = k * (own.high - own.value) + (1.0 - k) * (unknown.high - 1.0)
-    labels = 1.96 * sd * shrunk.credibility
-    spread = summed((Estimate(0.0, low, high), Estimate(0.0, -labels, labels)))
-    # Only the labels' sd, taken as if it were normal, can bring it to 0.
-    least = 0.05 * factor
-    ln = Estimate(
-        facet.weight * math.log(factor),
-        facet.weight * math.log(max(factor + spread.low, least)),
-        facet.weight * math.log(factor + spread.high),
-    )
-    per_excess = math.log(factor) / (factor - 1.0) if abs(factor - 1.0) > 1e-9 else 1.0 / (0.5 * (factor + 1.0))
+    per_excess = math.log(factor) / (factor - 1.0) if abs(factor - 1.0) > _FLAT else 2.0 / (factor + 1.0)
     if k > NEVER_KNOWN:
         told = _told(facet, {label: share / k for label, share in known.items()}, excess, record)
     else:
         told = [(Contribution(facet.name, facet.label, 0.0, unit="1"), 0.0)]
-    shares = [(contribution, facet.weight * per_excess * part) for contribution, part in told]
-    return Part(ln, shares, facet.weight**2 / facet.shape, k * shrunk.credibility)
+    return Part(
+        ln=_interval(facet, known, k, shrunk, factor),
+        shares=[(contribution, facet.weight * per_excess * part) for contribution, part in told],
+        prior_var=facet.weight**2 / facet.shape,
+        credibility=k * shrunk.credibility,
+    )
+
+
+def _interval(facet: Facet, known: Mapping[str, float], k: float, shrunk: Shrunk, factor: float) -> Estimate:
+    """Of ln F: by the distance known, by what is not, and by how unsure the labels' own relativities are."""
+    own, unknown = shrunk.estimate, Shrunk(facet.shape, 0.0, 0.0).estimate
+    # Unknown roads may well be like the known ones: their errors add up, and do not cancel as independent ones would.
+    low = k * (own.low - own.value) + (1.0 - k) * (unknown.low - 1.0)
+    high = k * (own.high - own.value) + (1.0 - k) * (unknown.high - 1.0)
+    sd = math.sqrt(math.fsum((share * facet.sd.get(label, 0.0)) ** 2 for label, share in known.items()))
+    labels = NORMAL_95 * sd * shrunk.credibility
+    spread = summed((Estimate(0.0, low, high), Estimate(0.0, -labels, labels)))
+    return Estimate(
+        facet.weight * math.log(factor),
+        # Only the labels' sd, taken as if it were normal, can bring it to 0.
+        facet.weight * math.log(max(factor + spread.low, _LEAST * factor)),
+        facet.weight * math.log(factor + spread.high),
+    )
 
 
 def _told(

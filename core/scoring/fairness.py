@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from core.errors import InvalidInputError
 from core.risk.driver import OLDEST, Driver
-from core.scoring.credibility import poisson_interval
+from core.scoring.credibility import NORMAL_95, poisson_interval
 
 AGE_BANDS: Final = ((14, 25), (25, 45), (45, 65), (65, OLDEST + 1))
 """From, and up to; as US 2016-17 tells fatal crashes (PMC7403895, table 2)."""
@@ -116,7 +116,7 @@ def _gap(values: Sequence[float], inside: Sequence[int], outside: Sequence[int])
     if min(len(inside), len(outside)) < _FEWEST:
         return None
     (mean, var), (other, other_var) = (_mean([values[i] for i in side]) for side in (inside, outside))
-    half = 1.96 * math.sqrt(var / len(inside) + other_var / len(outside))
+    half = NORMAL_95 * math.sqrt(var / len(inside) + other_var / len(outside))
     return {"points": mean - other, "interval95": [mean - other - half, mean - other + half]}
 
 

@@ -14,7 +14,7 @@ from core.scoring.credibility import shape_by_moments
 from core.scoring.facets import known_share
 from core.scoring.model import FacetRisk, ScoreModel, score_model_of
 from core.scoring.payd import DAYS_PER_YEAR
-from core.scoring.phyd import KMH, mean_risk
+from core.scoring.phyd import mean_excess_kmh, mean_risk
 from core.scoring.record import BeliefSums, Record, total
 from core.scoring.score import checked_days
 
@@ -55,9 +55,10 @@ def _set_means(made: dict[str, Any], model: ScoreModel, whole: Record, days: flo
     _set(made["payd"]["mileage"]["annual_km"], km * DAYS_PER_YEAR / days, source)
     for kind in model.manoeuvres:
         _set(made["phyd"][kind]["rate"], 100.0 * whole.manoeuvres.get(kind, 0) / km, source)
-    if speeding.certain_ms and speeding.over_ms:
+    excess_kmh = mean_excess_kmh(speeding)
+    if speeding.certain_ms and excess_kmh is not None:
         _set(made["phyd"]["speeding"]["share"], speeding.certain_over_ms / speeding.certain_ms, source)
-        _set(made["phyd"]["speeding"]["excess_kmh"], KMH * speeding.excess_mm / speeding.over_ms, source)
+        _set(made["phyd"]["speeding"]["excess_kmh"], excess_kmh, source)
     risk, _ = mean_risk(whole.belief.get(model.entity, BeliefSums()))
     if risk is not None:
         _set(made["phyd"]["vehicle"]["risk"], risk, source)
@@ -93,10 +94,10 @@ def _set_spreads(made: dict[str, Any], model: ScoreModel, driven: Sequence[tuple
 def _speeding_count(record: Record, model: ScoreModel) -> tuple[float, float]:
     speeding, regressor = record.speeding, model.speeding
     hours = speeding.certain_ms / 3.6e6 / regressor.exposure
-    if not speeding.certain_ms or not speeding.over_ms:
+    excess_kmh = mean_excess_kmh(speeding)
+    if not speeding.certain_ms or excess_kmh is None:
         return 0.0, hours
-    mean_kmh = speeding.certain_over_ms / speeding.certain_ms * KMH * speeding.excess_mm / speeding.over_ms
-    return hours * mean_kmh / regressor.portfolio, hours
+    return hours * speeding.certain_over_ms / speeding.certain_ms * excess_kmh / regressor.portfolio, hours
 
 
 def _vehicle_count(record: Record, model: ScoreModel) -> tuple[float, float]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from core.driving.speeding import HIGHEST_LIMIT_MPS
 from core.risk.belief import EMPTY, HR, LR, MR, THETA
 from core.scoring.credibility import Estimate, Shrunk
 from core.scoring.model import Regressor, ScoreModel
-from core.scoring.record import BeliefSums, Record
+from core.scoring.record import BeliefSums, Record, SpeedingSums
 from core.scoring.score import Basis, Contribution, Part, Product, Score, checked_days, evidence_of, nothing_driven
 
-KMH: Final = 3.6
+_KMH: Final = 3.6
 LABELS: Final = {
     "braking": "harsh braking",
     "acceleration": "harsh acceleration",
@@ -64,6 +65,13 @@ def mean_risk(belief: BeliefSums) -> tuple[float | None, float]:
     return math.fsum(_RISK[one] * mass[one] for one in _RISK) / known, min(known, 1.0)
 
 
+def mean_excess_kmh(speeding: SpeedingSums) -> float | None:
+    """Mean excess while above, no more than cars can do; None where never above."""
+    if not speeding.over_ms:
+        return None
+    return _KMH * min(speeding.excess_mm / speeding.over_ms, HIGHEST_LIMIT_MPS)
+
+
 def _manoeuvre(record: Record, kind: str, regressor: Regressor) -> Part:
     count, km = record.manoeuvres.get(kind, 0), record.distance_m * 1e-3
     shrunk = Shrunk(regressor.shape, count / regressor.dispersion, km / regressor.exposure)
@@ -90,7 +98,7 @@ def _speeding(record: Record, model: ScoreModel) -> Part:
     """
     regressor, speeding = model.speeding, record.speeding
     share = speeding.certain_over_ms / speeding.certain_ms if speeding.certain_ms else None
-    excess_kmh = KMH * speeding.excess_mm / speeding.over_ms if speeding.over_ms else None
+    excess_kmh = mean_excess_kmh(speeding)
     hours = speeding.certain_ms / 3.6e6 / regressor.exposure
     observed = (share or 0.0) * (excess_kmh or 0.0) / regressor.portfolio
     shrunk = Shrunk(regressor.shape, hours * observed, hours)

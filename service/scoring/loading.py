@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, TypeVar
 
 from core.errors import InvalidInputError
 from core.scoring.model import ScoreModel, score_model_of
@@ -19,7 +19,7 @@ from core.scoring.record import Record
 from service.errors import UsageError
 from service.scoring.checking import record_of
 
-SHIPPED: Final = ("scores", "tariff")
+_Made = TypeVar("_Made")
 
 
 @cache
@@ -30,13 +30,7 @@ def shipped_model() -> ScoreModel:
 
 def score_model(own: Path | None = None) -> ScoreModel:
     """The model by a user's file, or the shipped one; raises UsageError that says what is wrong in it."""
-    if own is None:
-        return shipped_model()
-    document = model_document(own)
-    try:
-        return score_model_of(document)
-    except InvalidInputError as error:
-        raise UsageError(f"{own}: {error}") from None
+    return shipped_model() if own is None else _made(own, score_model_of, model_document(own))
 
 
 def model_document(own: Path | None = None) -> dict[str, Any]:
@@ -76,34 +70,29 @@ def shipped_tariff() -> Tariff:
 
 def tariff(own: Path) -> Tariff:
     """A user's tariff; raises UsageError that says what is wrong in it."""
-    document = _read_toml(own, "scores tariff")
-    try:
-        return tariff_of(document)
-    except InvalidInputError as error:
-        raise UsageError(f"{own}: {error}") from None
+    return _made(own, tariff_of, _read_toml(own, "scores tariff"))
 
 
 def record(path: Path) -> Record:
     """A record as ``Record.to_json`` told it; raises UsageError that says what is wrong in it."""
-    document = _parsed(path, json.loads, "JSON: {}; expected a record")
-    try:
-        return record_of(document)
-    except InvalidInputError as error:
-        raise UsageError(f"{path}: {error}") from None
+    return _made(path, record_of, _parsed(path, json.loads, "JSON: {}; expected a record"))
 
 
 def places(path: Path) -> Places:
     """Relativities of cells as ``Places.to_json`` told them; raises UsageError that says what is wrong in them."""
-    document = _parsed(path, json.loads, "JSON: {}; expected places")
-    try:
-        return places_of(document)
-    except InvalidInputError as error:
-        raise UsageError(f"{path}: {error}") from None
+    return _made(path, places_of, _parsed(path, json.loads, "JSON: {}; expected places"))
 
 
 def shipped_text(name: str) -> str:
     """A shipped file as it is written, with its sources."""
     return (resources.files("core.scoring") / "tables" / f"{name}.toml").read_text(encoding="utf-8")
+
+
+def _made(path: Path, make: Callable[[dict[str, Any]], _Made], document: dict[str, Any]) -> _Made:
+    try:
+        return make(document)
+    except InvalidInputError as error:
+        raise UsageError(f"{path}: {error}") from None
 
 
 def _read_toml(path: Path, like: str) -> dict[str, Any]:

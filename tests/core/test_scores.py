@@ -254,6 +254,35 @@ def test_a_driver_reads_what_costs_and_why() -> None:
     assert costs == sorted(costs, reverse=True)
 
 
+def test_of_what_is_not_known_the_driver_reads_that() -> None:
+    record = replace(driven(500.0, None, {"": 1.0}), cells={"a": Driven(500 * KM, 0)}, speeding=SpeedingSums())
+    where = [sentence for _, sentence in explain(score("pwyd", record, 30.0, MODEL, PLACES))]
+    assert "Nothing is known of roads; this changes nothing." in where
+    assert any(sentence.startswith("100 % of the distance in area a; this") for sentence in where)
+    how = dict(explain(score("phyd", record, 30.0, MODEL)))
+    assert how["speeding_share"].startswith("No limit was known")
+    assert how["vehicle"] == "Nothing is known of driving near the limits; this changes nothing."
+
+
+@pytest.mark.parametrize("mm", [1, 10**12, 2**63 - 1])
+@pytest.mark.parametrize("days", [1e-3, 36_600.0])
+@pytest.mark.parametrize("many", [0, 10**6, 2**63 - 1])
+def test_absurd_numbers_stay_numbers(mm: int, days: float, many: int) -> None:
+    most = 2**63 - 1
+    record = Record(
+        trips=1,
+        exposure=Exposure(
+            Driven(mm, most), {Facet.HOUR: {"03": Driven(mm, 0)}, Facet.ROAD_CLASS: {"track": Driven(mm, 0)}}
+        ),
+        manoeuvres={"braking": many},
+        speeding=SpeedingSums(most, 0, many, most, many, most if many else 0),
+        belief={"vehicle": BeliefSums(1, (0, 0, 0, 0, most, 0, 0, many))},
+    )
+    for one in scores(record, days, MODEL).values():
+        figures = (one.score, *one.interval95, one.relativity, *one.relativity_interval95, one.credibility)
+        assert all(math.isfinite(figure) for figure in figures)
+
+
 def test_places_are_believed_as_far_as_they_were_driven_in() -> None:
     generator = np.random.default_rng(1)
     true = generator.gamma(2.0, 0.5, 3000)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from datetime import UTC, datetime
+from typing import Annotated, Literal, Self
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, model_validator
 
+from core.risk.driver import OLDEST, YOUNGEST, Driver
 from schemas.calibration import Calibration
 from schemas.model import Model, NotNegative, PerAxis, VehicleId
 from schemas.times import Time
@@ -91,6 +94,52 @@ class SensorNoise(Model):
     recording: NoiseRecording | None = None
 
 
+class DriverInfo(Model):
+    """Who usually drives, as far as it may be used where the vehicle is; what is left out has no part in any risk."""
+
+    birth_year: int | None = Field(default=None, ge=1900, le=2200)
+    age: int | None = Field(default=None, description="Instead of the year of birth; it stays what it is.")
+    sex: Literal["M", "F"] | None = None
+    licensed_year: int | None = Field(default=None, ge=1900, le=2200, description="Since when they may drive.")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.age is not None:
+            if self.birth_year is not None:
+                raise ValueError("birth_year and age are both given; expected one of them")
+            if not YOUNGEST <= self.age <= OLDEST:
+                raise ValueError(f"age is {self.age}; expected a driver's, {YOUNGEST} to {OLDEST}, or none at all")
+        born, licensed = self.birth_year, self.licensed_year
+        if born is not None and licensed is not None and licensed - born < YOUNGEST:
+            raise ValueError(
+                f"licensed_year {self.licensed_year} is before the age of {YOUNGEST}; expected a later one, or none"
+            )
+        return self
+
+    def in_year(self, year: int) -> Driver:
+        """Who that is in a year; what cannot be is left out."""
+        age = self.age if self.birth_year is None else year - self.birth_year
+        if age is not None and not YOUNGEST <= age <= OLDEST:
+            age = None
+        experience = None if self.licensed_year is None else float(year - self.licensed_year)
+        if experience is not None and not 0.0 <= experience <= (OLDEST if age is None else age) - YOUNGEST:
+            experience = None
+        return Driver(age, self.sex, experience)
+
+
+def _known_zone(name: str) -> str:
+    try:
+        ZoneInfo(name)
+    except (ValueError, OSError, ZoneInfoNotFoundError):
+        raise ValueError(f"'{name}' is no time zone; expected an IANA name such as Europe/Helsinki") from None
+    return name
+
+
+TimeZone = Annotated[
+    str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_+/-]+$"), AfterValidator(_known_zone)
+]
+
+
 class VehicleConfig(Model):
     """How the box sits in the vehicle and how it is to be treated; all of it may be left out."""
 
@@ -127,6 +176,15 @@ class VehicleConfig(Model):
         default=None,
         description="Noise of the inertial sensors at rest; the filter adds what a moving car does to them.",
     )
+    time_zone: TimeZone | None = Field(
+        default=None,
+        description="IANA name, such as Europe/Helsinki, by which days, months and hours of driving are told apart."
+        " Left out, days are UTC's and hours those of the place's longitude. A change holds for trips after it; days"
+        " are told apart anew.",
+    )
+    driver: DriverInfo | None = Field(
+        default=None, description="Holds for trips assessed after it; left out, risk and scores go without."
+    )
 
 
 class GivenConfig(VehicleConfig):
@@ -137,6 +195,18 @@ class GivenConfig(VehicleConfig):
         description="Put as PUT …/calibration would, where it is another than the last; the first one holds for all "
         "packets. Left out, calibrations stay as they are.",
     )
+
+    @model_validator(mode="after")
+    def _check_driver(self) -> Self:
+        # Here and not with what is stored, which has to be read in any year.
+        year = datetime.now(UTC).year
+        driver = self.driver
+        if driver is not None and driver.birth_year is not None and not YOUNGEST <= year - driver.birth_year <= OLDEST:
+            raise ValueError(
+                f"driver: born in {driver.birth_year}, they are {year - driver.birth_year}; expected a driver's age,"
+                f" {YOUNGEST} to {OLDEST}, or none at all"
+            )
+        return self
 
     def settings(self) -> VehicleConfig:
         """What of it is kept with the vehicle."""

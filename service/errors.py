@@ -85,10 +85,8 @@ class ConflictError(ServiceError):
     status = 409
 
 
-class EvidencePendingError(ConflictError):
-    """The evidence of an accident is not built yet."""
-
-    code = "evidence_pending"
+class PendingError(ConflictError):
+    """It is not there yet."""
 
     def __init__(self, detail: str, *, retry_after_s: int, **extra: object) -> None:
         super().__init__(detail, **extra)
@@ -98,6 +96,18 @@ class EvidencePendingError(ConflictError):
     def headers(self) -> Mapping[str, str]:
         """When to try again."""
         return {"Retry-After": str(self.retry_after_s)}
+
+
+class EvidencePendingError(PendingError):
+    """The evidence of an accident is not built yet."""
+
+    code = "evidence_pending"
+
+
+class NotAssessedError(PendingError):
+    """A trip is not assessed yet."""
+
+    code = "not_assessed"
 
 
 class EvidenceFailedError(ConflictError):

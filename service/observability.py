@@ -44,10 +44,12 @@ class Metrics:
             "session_rejections", "Measurements that a vehicle's session did not use.", "aid", "outcome"
         )
         self.accidents_total = counter("accidents", "Accidents found.", "severity")
+        self.trips_assessed_total = counter("trips_assessed", "Trips assessed, or assessed anew.", "outcome")
         self.webhook_deliveries_total = counter("webhook_deliveries", "Attempts to deliver a webhook.", "outcome")
 
         self.journal_queue = gauge("journal_queue", "Packets that wait to become durable.")
         self.engine_backlog = gauge("engine_backlog", "Durable packets that wait to be fused.")
+        self.trips_waiting = gauge("trips_waiting", "Trips that ended and wait to be assessed.")
         self.vehicles_active = gauge("vehicles_active", "Vehicles whose session is in memory.")
 
         self.journal_commit_seconds = histogram(

@@ -375,8 +375,10 @@ class _Drive:
         sd = np.sqrt(np.diag(P))
         coasting = (t_ns - self._fixed_ns) * 1e-9 > self._tuning.coasting_after_s
         mode = Mode.COASTING if coasting else Mode.AIDED
+        told = float(self._used), float(mode)
+        sd_v_h, sd_tilt = (np.hypot(*sd[first : first + 2]) / np.sqrt(2.0) for first in (3, 6))
         self._rows.append(
-            np.array([lat, lon, alt, *v_n, *attitude, *sd[:3], P[0, 1], sd[8], float(self._used), float(mode)])
+            np.array([lat, lon, alt, *v_n, *attitude, *sd[:3], P[0, 1], sd[8], *told, sd_v_h, sd_tilt, np.nan])
         )
         self._used = False
         if not self._node_t_ns or t_ns * _NODES_PER_S // 10**9 != self._node_t_ns[-1] * _NODES_PER_S // 10**9:

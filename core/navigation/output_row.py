@@ -8,6 +8,7 @@ from core.compiled import compiled
 from core.measurements import FloatArray, TimeArray
 from core.navigation.mechanization import matrix_of
 from core.navigation.state import (
+    ACCEL_BIAS,
     ATT,
     I_GNSS_USED,
     MOUNT_YAW,
@@ -15,6 +16,7 @@ from core.navigation.state import (
     POS,
     T_GNSS,
     T_NOW,
+    VEL,
     X_ALT,
     X_DR,
     X_LAT,
@@ -28,7 +30,7 @@ from core.navigation.track import TRACK, Mode
 from core.navigation.tuning import PARAMETER
 
 _COASTING_S = PARAMETER["coasting_after_s"]
-_C_LAT, _C_VN, _C_ROLL, _C_SD_N, _C_SD_YAW, _C_USED, _C_MODE = (
+_C_LAT, _C_VN, _C_ROLL, _C_SD_N, _C_SD_YAW, _C_USED, _C_MODE, _C_SD_V = (
     TRACK["lat_rad"],
     TRACK["vn_mps"],
     TRACK["roll_rad"],
@@ -36,6 +38,7 @@ _C_LAT, _C_VN, _C_ROLL, _C_SD_N, _C_SD_YAW, _C_USED, _C_MODE = (
     TRACK["sd_yaw_rad"],
     TRACK["gnss_used"],
     TRACK["mode"],
+    TRACK["sd_v_h_mps"],
 )
 _COASTING, _AIDED = int(Mode.COASTING), int(Mode.AIDED)
 
@@ -71,4 +74,7 @@ def put_row(x: FloatArray, ti: TimeArray, p: FloatArray, lever_b: FloatArray, pa
     row[_C_SD_YAW] = math.sqrt(max(variance, 0.0))
     row[_C_USED] = ti[I_GNSS_USED]
     row[_C_MODE] = _AIDED if (ti[T_NOW] - ti[T_GNSS]) * 1e-9 <= par[_COASTING_S] else _COASTING
+    for k, first in enumerate((VEL, ATT, ACCEL_BIAS)):
+        both = p[first * n + first] + p[(first + 1) * n + first + 1]
+        row[_C_SD_V + k] = math.sqrt(max(0.5 * both, 0.0))
     ti[I_GNSS_USED] = 0

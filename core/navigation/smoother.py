@@ -22,7 +22,7 @@ from core.navigation import nodes as node
 from core.navigation.error_model import transition_matrix
 from core.navigation.recorder import Recorder
 from core.navigation.solution import Solution
-from core.navigation.state import ATT, GNSS_ERROR, GYRO_BIAS, MOUNT_PITCH, MOUNT_YAW, N_STATES, POS, VEL
+from core.navigation.state import ACCEL_BIAS, ATT, GNSS_ERROR, GYRO_BIAS, MOUNT_PITCH, MOUNT_YAW, N_STATES, POS, VEL
 from core.navigation.track import TRACK, Mode, Track
 from core.rotation import (
     matrix_from_quaternion,
@@ -165,11 +165,19 @@ def _solution(
     if whole and len(t_ns):
         after = np.einsum("kij,kj->ki", maps, errors.after)
         before = np.einsum("kij,kj->ki", maps, errors.before)
-        track = _corrected(track, t_ns, after, before, covariance)
+        bias_variance = variances[:, ACCEL_BIAS - GYRO_BIAS :][:, :2].mean(axis=1)
+        track = _corrected(track, t_ns, after, before, covariance, bias_variance)
     return Solution(track, t_ns, covariance, slow, np.sqrt(np.maximum(variances, 0.0)), whole)
 
 
-def _corrected(track: Track, t_ns: TimeArray, after: FloatArray, before: FloatArray, covariance: FloatArray) -> Track:
+def _corrected(
+    track: Track,
+    t_ns: TimeArray,
+    after: FloatArray,
+    before: FloatArray,
+    covariance: FloatArray,
+    bias_variance: FloatArray,
+) -> Track:
     """The rows moved by the smoothed errors (k, 9) of the nodes around them, with the smoothed spread."""
     values = track.values.copy()
     inside = (track.t_ns >= t_ns[0]) & (track.t_ns <= t_ns[-1]) & (values[:, TRACK["mode"]] != Mode.ALIGNING)
@@ -193,6 +201,9 @@ def _corrected(track: Track, t_ns: TimeArray, after: FloatArray, before: FloatAr
     own[:, TRACK["sd_n_m"] : TRACK["sd_d_m"] + 1] = np.sqrt(variances[:, :3])
     own[:, TRACK["cov_ne_m2"]] = spread[:, 0, 1]
     own[:, TRACK["sd_yaw_rad"]] = np.sqrt(variances[:, 8])
+    own[:, TRACK["sd_v_h_mps"]] = np.sqrt(variances[:, 3:5].mean(axis=1))
+    own[:, TRACK["sd_tilt_rad"]] = np.sqrt(variances[:, 6:8].mean(axis=1))
+    own[:, TRACK["sd_accel_bias_mps2"]] = np.sqrt(np.maximum(bias_variance[k], 0.0))
     values[rows] = own
     return Track(track.t_ns, values)
 

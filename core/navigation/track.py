@@ -46,9 +46,14 @@ TRACK_COLUMNS: Final = (
     "sd_yaw_rad",
     "gnss_used",
     "mode",
+    "sd_v_h_mps",
+    "sd_tilt_rad",
+    "sd_accel_bias_mps2",
 )
 """Columns of a track row, of the vehicle's body frame; ``gnss_used`` is 1 if a fix entered since the
-row before; ``mode`` is a ``Mode``. While aligning, what is not known yet is NaN."""
+row before; ``mode`` is a ``Mode``. ``sd_v_h_mps``, ``sd_tilt_rad`` and ``sd_accel_bias_mps2`` are of one of the two
+horizontal axes, in the mean: of the velocity, of the box's attitude, of its accelerometers' bias. While aligning, what
+is not known yet is NaN."""
 
 TRACK: Final = {name: index for index, name in enumerate(TRACK_COLUMNS)}
 

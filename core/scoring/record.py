@@ -107,7 +107,7 @@ class Record:
             belief=_merged(self.belief, other.belief, BeliefSums(), BeliefSums.__add__),
             coverage=_merged(self.coverage, other.coverage, 0, int.__add__),
             accidents=_merged(self.accidents, other.accidents, 0, int.__add__),
-            evidence=_merged(self.evidence, other.evidence, (), _heaviest),
+            evidence=_merged(self.evidence, other.evidence, (), lambda one, more: heaviest((*one, *more))),
         )
 
     @property
@@ -173,9 +173,10 @@ def _merged(one: Mapping[str, Any], other: Mapping[str, Any], nothing: Any, plus
     return merged
 
 
-def _heaviest(one: tuple[Evidence, ...], other: tuple[Evidence, ...]) -> tuple[Evidence, ...]:
+def heaviest(pieces: Iterable[Evidence]) -> tuple[Evidence, ...]:
+    """Those that a record keeps."""
     # The same, whatever is added first: the heaviest, and of equals the one whose id comes first.
-    return tuple(sorted({*one, *other}, key=lambda piece: (-piece.weight, piece.kind, piece.id))[:MOST_EVIDENCE])
+    return tuple(sorted(set(pieces), key=lambda piece: (-piece.weight, piece.kind, piece.id))[:MOST_EVIDENCE])
 
 
 def _driven(labels: Mapping[str, Any]) -> dict[str, Driven]:

@@ -17,7 +17,7 @@ from core.accident.severity import classify
 from core.accident.thresholds import SeverityThresholds
 from service.accidents.telling import created_event, review_event
 from service.stable_ids import stable_id
-from service.storage import accidents, audit, candidates, evidence, reviews
+from service.storage import accidents, audit, candidates, evidence, reviews, trips
 from service.storage.accidents import REVIEWER, AccidentRow
 from service.storage.candidates import CandidateRow
 from service.storage.reviews import ReviewRow
@@ -46,8 +46,9 @@ def review_accident(
     now_ns = time.time_ns()
     accidents.judge(connection, accident.id, verdict)
     judged = replace(accident, verdict=verdict, status=verdict)
+    trips.mark_trip_due(connection, accident.trip_id, now_ns)
     review = _review(accident, verdict, note, reviewer, accident.status, now_ns)
-    _keep(connection, "accident", review)
+    keep_review(connection, "accident", review)
     event = review_event(judged, review.id, now_ns)
     outbox.publish(connection, event, now_ns)
     return Reviewed(review, accident.id, event)
@@ -60,7 +61,7 @@ def review_candidate(
     now_ns = time.time_ns()
     candidates.judge(connection, candidate.id, verdict)
     review = _review(candidate, verdict, note, reviewer, candidate.verdict or candidate.reason, now_ns)
-    _keep(connection, "candidate", review)
+    keep_review(connection, "candidate", review)
     accident_id = stable_id(ref, candidate.t_ns, "accident")
     known = accidents.find(connection, candidate.tenant_id, accident_id, to_change=True)
     if known is None and verdict != ACCIDENT:
@@ -70,6 +71,7 @@ def review_candidate(
         follows = review_accident(connection, known, "confirmed" if verdict == ACCIDENT else "false", note, reviewer)
         return Reviewed(review, accident_id, follows.event)
     accident = accidents.put(connection, _accident_of(connection, candidate, accident_id, now_ns))
+    trips.mark_trip_due(connection, accident.trip_id, now_ns)
     evidence.ask_for(connection, accident, ref.config, now_ns)
     event = created_event(accident, review.id)
     outbox.publish(connection, event, now_ns)
@@ -93,7 +95,8 @@ def _review(
     )
 
 
-def _keep(connection: Connection, kind: str, review: ReviewRow) -> None:
+def keep_review(connection: Connection, kind: str, review: ReviewRow) -> None:
+    """Store a verdict, and that it was given."""
     reviews.add(connection, review)
     # Without the note, which may say things of people: the audit outlives the vehicle.
     said = {"review_id": review.id, "verdict": review.verdict, "before": review.before, "after": review.after}

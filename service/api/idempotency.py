@@ -14,7 +14,7 @@ from service.api.dependencies import Database
 from service.api.security import Caller
 from service.errors import IdempotencyError
 from service.storage import idempotency
-from service.storage.database import write
+from service.storage.database import read, write
 
 _REPLAYED_HEADERS: Final = ("content-type", "location", "etag")
 
@@ -31,6 +31,13 @@ class Once:
     tenant_id: str
     key: str | None
     request_sha256: str
+
+    def is_new(self) -> bool:
+        """Whether nothing was answered under this key: else ``run`` will do nothing."""
+        if self.key is None:
+            return True
+        with read(self.engine) as connection:
+            return not idempotency.is_used(connection, self.tenant_id, self.key)
 
     def run(self, create: Callable[[Connection], Response]) -> Response:
         """``create(connection)`` makes the thing and its answer; both are committed when this returns."""

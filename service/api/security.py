@@ -26,6 +26,7 @@ SCOPES: Final = {
     "positions:read": "places: state, track, ends of trips",
     "accidents:read": "accidents with their places",
     "accidents:review": "say of an accident, or of what was taken for none, whether it was one",
+    "manoeuvres:review": "say of a manoeuvre whether it was one, and whether it was defensive",
     "scores:read": "scores",
     "webhooks:read": "webhook endpoints and deliveries",
     "webhooks:write": "make, change and remove webhook endpoints",

@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from sqlalchemy import Connection
 
+from core.driving.exposure import Facet, Light
 from schemas import geojson
 from schemas.geojson import GEOJSON_MEDIA_TYPE
 from schemas.notifications import rfc3339
-from schemas.trips import Place, TrackCollection, Trip, TripList
+from schemas.problem import Problem
+from schemas.trips import ManoeuvreList, Place, TrackCollection, Trip, TripList, TripRisk
 from service.api.conditional import answer
 from service.api.dependencies import ID_PATTERN, Database, VehiclePath, the_vehicle
 from service.api.pagination import Page, encode_cursor, link_next
 from service.api.security import Principal, require
 from service.api.times import FromTime, ToTime, time_ns
 from service.api.vehicles import MODES
-from service.errors import NotFoundError
-from service.storage import trips
+from service.errors import NotAssessedError, NotFoundError
+from service.storage import manoeuvres, records, trips
 from service.storage.database import read
 from service.storage.trips import TrackRow, TripRow
+from service.trips.telling import risk_over_time, shown_manoeuvre
 
 router = APIRouter(tags=["trips"])
 
 Reader = Annotated[Principal, Depends(require("vehicles:read"))]
 PositionReader = Annotated[Principal, Depends(require("positions:read"))]
+RETRY_AFTER_S: Final = 5
 TripPath = Annotated[str, Path(pattern=ID_PATTERN, description="The trip's id.")]
 
 
@@ -65,7 +69,41 @@ def get_trip(request: Request, trip_id: TripPath, caller: Reader, engine: Databa
     """A trip's figures; where it began and ended only for keys with positions:read."""
     with read(engine) as connection:
         row = _the_trip(connection, caller.tenant_id, trip_id)
-    return answer(request, _trip(row, caller))
+        assessed = records.find(connection, row.id)
+    night = None if assessed is None else assessed.record.exposure.share(Facet.LIGHT, Light.NIGHT)
+    return answer(request, _trip(row, caller).model_copy(update={"night_share": night}))
+
+
+@router.get(
+    "/trips/{trip_id}/risk",
+    response_model=TripRisk,
+    responses={409: {"model": Problem, "description": "Not assessed yet"}},
+)
+def get_risk(
+    request: Request,
+    trip_id: TripPath,
+    caller: Reader,
+    engine: Database,
+    every: Annotated[int, Query(ge=1, le=3600, description="Every so many seconds of the trip.")] = 1,
+) -> Response:
+    """A trip's risk second by second: masses of belief, what they rest on, speed against the limit."""
+    with read(engine) as connection:
+        trip = _the_trip(connection, caller.tenant_id, trip_id)
+        found = records.find(connection, trip.id)
+    if found is None:
+        detail = f"trip '{trip_id}' is not assessed yet; it takes some seconds after its end"
+        raise NotAssessedError(detail, retry_after_s=RETRY_AFTER_S)
+    return answer(request, risk_over_time(trip, found, every))
+
+
+@router.get("/trips/{trip_id}/manoeuvres", response_model=ManoeuvreList)
+def list_manoeuvres(request: Request, trip_id: TripPath, caller: Reader, engine: Database) -> Response:
+    """Harsh braking, acceleration and cornering, and changes of lane on a trip."""
+    with read(engine) as connection:
+        trip = _the_trip(connection, caller.tenant_id, trip_id)
+        rows = manoeuvres.between(connection, trip.vehicle_pk, trip.start_ns, trip.end_ns)
+    shown = [shown_manoeuvre(row, places=caller.may("positions:read")) for row in rows]
+    return answer(request, ManoeuvreList(manoeuvres=shown))
 
 
 @router.get(
@@ -104,6 +142,7 @@ def _trip(row: TripRow, caller: Principal) -> Trip:
         moving_s=row.moving_s,
         coasting_s=row.coasting_s,
         max_speed_mps=row.max_speed_mps,
+        assessed=row.assessed_ns is not None and row.due_ns is None,
     )
 
 

@@ -27,6 +27,9 @@ from service.bench import (
     navigation_report,
     report,
     roads,
+    score_queries,
+    scores,
+    scores_report,
     stages,
 )
 from service.bench.fleet import record_drives
@@ -88,10 +91,29 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="measure the driving manoeuvres instead: what is found of those of labelled trips, and what beside them",
     )
     instead.add_argument(
+        "--score-queries",
+        action="store_true",
+        help="measure how long a score over HTTP takes instead, of a vehicle with 10 000 trips over five years",
+    )
+    parser.add_argument(
+        "--database",
+        metavar="URL",
+        help="with --score-queries: an empty database, such as postgresql+psycopg://USER@HOST/NAME (default: SQLite)",
+    )
+    instead.add_argument(
+        "--scores",
+        action="store_true",
+        help="measure the scores instead, over a simulated portfolio with known claim rates: calibration, lift,"
+        " stability, intervals, and what wrong models would show",
+    )
+    instead.add_argument(
         "--roads",
         type=Path,
         metavar="ROADS",
         help="measure road matching instead, by simulated drives on a folder that 'telefuse roads build' made",
+    )
+    parser.add_argument(
+        "--drivers", type=int, metavar="N", help=f"with --scores: how many drivers (default {scores.DRIVERS})"
     )
     parser.add_argument(
         "--km",
@@ -142,6 +164,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--recordings is for --calibration, --accidents and --driving; expected one of these")
     if arguments.km is not None and not arguments.accidents:
         raise UsageError("--km is for --accidents; expected --accidents beside it")
+    if arguments.drivers is not None and not arguments.scores:
+        raise UsageError("--drivers is for --scores; expected --scores beside it")
+    if arguments.database is not None and not arguments.score_queries:
+        raise UsageError("--database is for --score-queries; expected --score-queries beside it")
+    if arguments.score_queries:
+        with unwinding_on_sigterm(), Phases() as phases:
+            queried = score_queries.measure(arguments.database, partial(phases.tell, "score queries"))
+        print(json.dumps(queried) if arguments.json else score_queries.lines(queried))
+        return 0
     if arguments.kernel:
         _print_kernel(as_json=arguments.json)
         return 0
@@ -169,6 +200,11 @@ def run(arguments: argparse.Namespace) -> int:
         with Phases() as phases:
             found = driving.measure(arguments.recordings, partial(phases.tell, "labelled trips"))
         print(json.dumps(found) if arguments.json else driving.tables(found))
+        return 0
+    if arguments.scores:
+        with Phases() as phases:
+            found = scores.measure(scores.DRIVERS if arguments.drivers is None else arguments.drivers, phases.tell)
+        print(json.dumps(found, allow_nan=False) if arguments.json else scores_report.tables(found))
         return 0
     if arguments.accidents:
         km = accident_long.KM if arguments.km is None else arguments.km

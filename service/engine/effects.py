@@ -17,13 +17,14 @@ from sqlalchemy import Connection, and_, not_, or_, update
 
 from core.accident.placing import Accident, Suppressed
 from core.calibration.drift import BiasUpdate
+from core.driving.manoeuvres import Episode
 from core.driving.trips import Trip
 from core.navigation.track import TRACK, Mode, Track
 from core.navigation.tuning import Tuning
 from core.session import Outputs
 from schemas.calibration import Calibration
 from schemas.notifications import CalibrationDriftBody, EventBody, EventType, TripBody
-from service.accidents.rows import accident_row, candidate_row, degrees_or_none
+from service.accidents.rows import accident_row, candidate_row, degrees_or_none, finite_or_none
 from service.accidents.telling import revision_event
 from service.engine import checkpoints
 from service.engine.checkpoints import Checkpoint
@@ -31,9 +32,11 @@ from service.engine.sessions import learnt_calibration
 from service.ingest.journal_rows import JournalEntry
 from service.stable_ids import event_id, stable_id
 from service.storage import accidents, calibrations, candidates, evidence
+from service.storage import trips as storage_trips
 from service.storage.statements import insert_into
 from service.storage.tables import track_points, trips, vehicles
 from service.storage.vehicles import VehicleRef
+from service.trips.manoeuvres import store_episode
 from service.webhooks import outbox
 from service.webhooks.outbox import NewEvent
 
@@ -57,6 +60,7 @@ class Effects:
         self.accidents: list[tuple[Accident, int]] = []
         self.suppressed: list[tuple[Suppressed, int]] = []
         self.biases: list[tuple[BiasUpdate, int]] = []
+        self.episodes: list[Episode] = []
         self.checkpoint: Checkpoint | None = None
         self.latest: dict[str, Any] | None = None
         self._track_interval_ns = track_interval_ns
@@ -73,6 +77,7 @@ class Effects:
         for trip in outputs.trips:
             self._trips[trip.start_t_ns] = (trip, packet.received_ns)
         self.biases += [(learnt, packet.received_ns) for learnt in outputs.biases]
+        self.episodes += outputs.episodes
         self.suppressed += [(one, packet.received_ns) for one in outputs.suppressed]
         for accident in outputs.accidents:
             self.accidents.append((accident, packet.received_ns))
@@ -92,7 +97,9 @@ class Effects:
             points = insert_into(connection, track_points).on_conflict_do_nothing()
             connection.execute(points, self._track)
         for trip, _ in self._trips.values():
-            self._store_trip(connection, trip)
+            self._store_trip(connection, trip, stored_ns)
+        for episode in self.episodes:
+            store_episode(connection, self.ref, episode, stored_ns)
         for suppressed, received_ns in self.suppressed:
             row = candidate_row(self.ref, suppressed, received_ns=received_ns, stored_ns=stored_ns)
             candidates.put(connection, row)
@@ -145,9 +152,11 @@ class Effects:
             **{name: value[name] for name in ("sd_n_m", "sd_e_m", "sd_d_m", "cov_ne_m2")},
             "gnss_used": value["gnss_used"] > 0,
             "mode": int(value["mode"]),
+            "sd_tilt_deg": degrees_or_none(value["sd_tilt_rad"]),
+            **{name: finite_or_none(value[name]) for name in ("sd_v_h_mps", "sd_accel_bias_mps2")},
         }
 
-    def _store_trip(self, connection: Connection, trip: Trip) -> None:
+    def _store_trip(self, connection: Connection, trip: Trip, stored_ns: int) -> None:
         insert = insert_into(connection, trips).values(
             id=stable_id(self.ref, trip.start_t_ns, "trip"),
             vehicle_pk=self.ref.pk,
@@ -162,12 +171,14 @@ class Effects:
             moving_s=trip.moving_s,
             coasting_s=trip.coasting_s,
             max_speed_mps=trip.max_speed_mps,
+            due_ns=stored_ns,
         )
+        kept = ("id", "assessed_ns", "model_sha256")
         # Computed again after a crash, a trip's earlier state must not take the place of its later one.
         connection.execute(
             insert.on_conflict_do_update(
                 index_elements=[trips.c.id],
-                set_={column.name: column for column in insert.excluded if column.name != "id"},
+                set_={column.name: column for column in insert.excluded if column.name not in kept},
                 where=and_(not_(trips.c.ended), trips.c.end_ns <= insert.excluded.end_ns),
             )
         )
@@ -176,6 +187,7 @@ class Effects:
         trip_id = accidents.trip_at(connection, self.ref.pk, accident.impact.t_ns)
         row = accident_row(self.ref, accident, trip_id=trip_id, received_ns=received_ns, stored_ns=stored_ns)
         row = accidents.put(connection, row)
+        storage_trips.mark_trip_due(connection, row.trip_id, stored_ns)
         evidence.ask_for(connection, row, self.ref.config, stored_ns)
         return revision_event(row, received_ns)
 

@@ -124,6 +124,7 @@ class Shard(threading.Thread):
         self._max_sessions = max(1, config.max_sessions // config.workers)
         self._vehicles: OrderedDict[int, Vehicle] = OrderedDict()  # the one longest silent first
         self._stopping = threading.Event()
+        self._asked_to_leave: dict[int, threading.Event] = {}
 
     @property
     def sessions(self) -> int:
@@ -149,12 +150,36 @@ class Shard(threading.Thread):
         self._stopping.set()
         self.inbox.wake()
 
+    def set_aside(self, pk: int, timeout_s: float) -> bool:
+        """Have a vehicle leave memory with its checkpoint, and take nothing for it until ``take_back``; False where
+        that took longer. Packets that come meanwhile wait in the journal."""
+        if self.is_alive() and not self._stopping.is_set():
+            left = self._asked_to_leave.setdefault(pk, threading.Event())
+            self.inbox.wake()
+            return left.wait(timeout_s)
+        self.inbox.close(pk)
+        return True
+
+    def take_back(self, pk: int) -> None:
+        """Go on with a vehicle from its checkpoint and the journal, as these are by now."""
+        self.quarantined.pop(pk, None)
+        self.inbox.reopen(pk)
+
     def reconsider(self, pk: int) -> None:
         """Try a vehicle that was set aside again, from its checkpoint; its settings have changed."""
         if self.quarantined.pop(pk, None) is not None:
             self.inbox.reopen(pk)
 
+    def _let_leave(self) -> None:
+        for pk in list(self._asked_to_leave):
+            self.inbox.close(pk)
+            if pk in self._vehicles:
+                self._store(self._checkpoints([pk], 1))
+                self._vehicles.pop(pk, None)
+            self._asked_to_leave.pop(pk).set()
+
     def _turn(self) -> None:
+        self._let_leave()
         work = self.inbox.take(self._config.packets_per_vehicle, self._config.packets_per_commit)
         with self._context.folding:
             batch = [effects for item in work if (effects := self._fold(item)) is not None]

@@ -8,6 +8,7 @@ from typing import Any
 
 from core.navigation.track import Mode
 from schemas.notifications import rfc3339
+from schemas.vehicles import FusedState
 from service.storage.vehicles import VehicleRef
 from service.webhooks.outbox import NewEvent
 
@@ -28,8 +29,7 @@ def cloud_event(ref: VehicleRef, event: NewEvent) -> dict[str, Any]:
 
 def fused_state(ref: VehicleRef, point: Mapping[str, Any]) -> dict[str, Any]:
     """A row of ``track_points`` as the state that subscribers see: the fields of ``schemas.vehicles.FusedState``."""
-    state = {name: value for name, value in point.items() if name not in ("vehicle_pk", "t_ns", "alt_m", "gnss_used")}
-    return state | {
+    return {name: value for name, value in point.items() if name in FusedState.model_fields} | {
         "vehicle_id": ref.vehicle_id,
         "time": rfc3339(point["t_ns"]),
         "alt_ellipsoid_m": point["alt_m"],

@@ -96,6 +96,14 @@ class Engine:
             mine = list(group)
             self._shard(mine[0].vehicle_pk).inbox.put(mine)
 
+    def set_aside(self, vehicle_pk: int, timeout_s: float) -> bool:
+        """Have a vehicle leave memory, with its checkpoint stored, until ``take_back``; False where it took longer."""
+        return self._shard(vehicle_pk).set_aside(vehicle_pk, timeout_s)
+
+    def take_back(self, vehicle_pk: int) -> None:
+        """Go on with a vehicle from its checkpoint and the journal, as these are by now."""
+        self._shard(vehicle_pk).take_back(vehicle_pk)
+
     @property
     def backlog(self) -> int:
         """Durable packets that are not folded and stored yet, here or still to be read from the journal."""

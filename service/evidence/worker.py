@@ -16,6 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from core.measurements import FloatArray, TimeArray
 from service.evidence.building import build
 from service.evidence.bundle import Bundle, to_bytes
+from service.resting import Rest, StoppedError
 from service.storage import accidents, evidence, vehicles
 from service.storage.database import read, write
 from service.storage.evidence import AFTER_NS, OpenEvidence
@@ -81,7 +82,7 @@ class EvidenceWorker:
         while not self._stopping.is_set():
             try:
                 self.turn(time.time_ns())
-            except _StoppedError:
+            except StoppedError:
                 return
             except SQLAlchemyError as error:
                 logger.warning("evidence waits: the database fails: %s", error)
@@ -124,12 +125,12 @@ class EvidenceWorker:
             ref = self._directory.by_pk(one.vehicle_pk)
             if accident is None or ref is None:
                 return  # erased meanwhile
-            rest = _Rest(self._stopping, self._policy.rest_per_work)
+            rest = Rest(self._stopping, self._policy.rest_per_work)
             built = build(self._database, one, accident, ref, self._gap_wait_ns, rest)
             if not built.reached and not self._is_silent(packet, now_ns):
                 return  # packets are missing that may still come
             data = to_bytes(built.bundle)
-        except (_StoppedError, SQLAlchemyError):
+        except (StoppedError, SQLAlchemyError):
             raise
         except Exception as error:
             logger.exception("the evidence of accident %s cannot be built", one.accident_id)
@@ -168,20 +169,3 @@ class EvidenceWorker:
         except Exception:
             logger.exception("the street of accident %s cannot be found", one.accident_id)
             return None
-
-
-class _StoppedError(Exception):
-    """The service stops."""
-
-
-class _Rest:
-    """Rests in proportion to the work done since it rested last."""
-
-    def __init__(self, stopping: threading.Event, times: float) -> None:
-        self._stopping, self._times = stopping, times
-        self._since_s = time.monotonic()
-
-    def __call__(self) -> None:
-        if self._stopping.wait(self._times * (time.monotonic() - self._since_s)):
-            raise _StoppedError
-        self._since_s = time.monotonic()

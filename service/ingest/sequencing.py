@@ -89,6 +89,12 @@ class Sequencer:
         """Step over every gap of this boot and of older ones: a marker in the journal says that nothing came."""
         return self._release(flush_through=boot_id)
 
+    def give_up_held(self) -> None:
+        """Let go of what is held behind gaps, as if it had been stepped over: its rows are no longer there."""
+        for boot in self._boots.values():
+            boot.floor = max([boot.floor, *boot.held])
+            boot.held = {}
+
     def durable_sequence(self, boot_id: str) -> int:
         """Everything of this boot up to here was taken, or is refused for good; 0 if nothing."""
         boot = self._boots.get(boot_id)

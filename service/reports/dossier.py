@@ -320,7 +320,10 @@ def _accident(row: AccidentRow) -> Accident:
 
 
 def _values(table: EvidenceTable, names: Sequence[str]) -> FloatArray:
-    return np.column_stack([table[name] for name in names]) if len(table) else np.empty((0, len(names)))
+    # Evidence from before a column was told has none of it.
+    known = table.dtype.names or ()
+    columns = [table[name] if name in known else np.full(len(table), np.nan) for name in names]
+    return np.column_stack(columns) if len(table) else np.empty((0, len(names)))
 
 
 def _holes(covered: dict[str, object], t_ns: int) -> str:

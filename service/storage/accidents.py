@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from sqlalchemy import Connection, Row, Select, case, select, update
+from sqlalchemy import Connection, Row, Select, and_, case, or_, select, update
 
 from service.storage.places import WhereAndWhen, of_tenant, page_of
 from service.storage.statements import insert_into
@@ -120,6 +120,26 @@ def trip_at(connection: Connection, vehicle_pk: int, t_ns: int) -> str | None:
         .limit(1)
     ).scalar_one_or_none()
     return found
+
+
+def of_trip(connection: Connection, tenant_id: str, trip_id: str) -> list[AccidentRow]:
+    """The accidents of a trip, those that turned out to be none as well, in their order."""
+    statement = _accidents(tenant_id).where(accidents.c.trip_id == trip_id).order_by(accidents.c.t_ns, accidents.c.id)
+    return [_accident(row) for row in connection.execute(statement)]
+
+
+def strays(connection: Connection, vehicle_pk: int, trip_id: str, from_ns: int, to_ns: int) -> dict[str, str | None]:
+    """Accidents in the time of a trip, by id, with the earlier trip, or none, to which they were counted before it was
+    told."""
+    inside = and_(accidents.c.vehicle_pk == vehicle_pk, accidents.c.t_ns.between(from_ns, to_ns))
+    other = or_(accidents.c.trip_id.is_(None), accidents.c.trip_id != trip_id)
+    chosen = select(accidents.c.id, accidents.c.trip_id).where(inside, other)
+    return {row.id: row.trip_id for row in connection.execute(chosen)}
+
+
+def give_to_trip(connection: Connection, accident_ids: Collection[str], trip_id: str) -> None:
+    """Have accidents belong to a trip."""
+    connection.execute(update(accidents).where(accidents.c.id.in_(accident_ids)).values(trip_id=trip_id))
 
 
 def find(connection: Connection, tenant_id: str, accident_id: str, *, to_change: bool = False) -> AccidentRow | None:

@@ -57,7 +57,7 @@ def ask_for(connection: Connection, accident: AccidentRow, config: VehicleConfig
         t_ns=accident.t_ns,
         status="pending",
         anchor_journal_id=select(func.max(older.c.journal_id)).where(*early_enough).scalar_subquery(),
-        config=config.model_dump(mode="json"),
+        config=config.model_dump(mode="json", exclude={"driver"}),  # who drives proves nothing here
         created_ns=now_ns,
     )
     connection.execute(insert.on_conflict_do_nothing(index_elements=[evidence.c.accident_id]))

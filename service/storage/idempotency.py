@@ -58,6 +58,14 @@ def begin(connection: Connection, tenant_id: str, key: str, request_sha256: str)
     return StoredAnswer(*row)
 
 
+def is_used(connection: Connection, tenant_id: str, key: str) -> bool:
+    """Whether a request with this key was answered before."""
+    mine = select(idempotency_keys.c.key).where(
+        idempotency_keys.c.tenant_id == tenant_id, idempotency_keys.c.key == key
+    )
+    return connection.execute(mine).first() is not None
+
+
 def finish(
     connection: Connection, tenant_id: str, key: str, status: int, headers: Mapping[str, str], body: bytes
 ) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from sqlalchemy import Column, ColumnElement, Connection, Engine, and_, delete, exists, func, not_, select, true
+from sqlalchemy import Column, ColumnElement, Connection, Engine, and_, delete, exists, func, not_, select, true, update
 
 from service.ingest.sequencing import Sequencer
 from service.storage import evidence, idempotency
@@ -19,6 +19,7 @@ from service.storage.tables import (
     events,
     idempotency_keys,
     journal,
+    manoeuvres,
     track_points,
 )
 
@@ -37,6 +38,7 @@ class Removed:
 
     packets: int
     track_points: int
+    manoeuvre_places: int
     events: int
     candidates: int
     evidence: int
@@ -57,11 +59,12 @@ def prune(
 
     A packet stays while its vehicle's checkpoint does not stand beyond it or holds it back behind a gap, or evidence
     is to be built from it; an event stays while one of its webhooks is still to be sent, evidence while it is being
-    built. Accidents, their reviews and trips stay.
+    built. Accidents, their reviews and trips stay, and of these their records, which know no places but H3 cells; a
+    manoeuvre keeps its place as long as the track is kept.
     """
     with read(engine) as connection:
         pks = list(connection.scalars(select(checkpoints.c.vehicle_pk)))
-    packets = points = 0
+    packets = points = places = 0
     for pk in pks:
         if journal_days:
             before_ns = now_ns - journal_days * DAY_NS
@@ -69,6 +72,7 @@ def prune(
         if track_days:
             before_ns = now_ns - track_days * DAY_NS
             points += _in_chunks(engine, partial(_prune_track, vehicle_pk=pk, before_ns=before_ns))
+            places += _in_chunks(engine, partial(_forget_places, vehicle_pk=pk, before_ns=before_ns))
     gone = looked_at = proofs = 0
     if events_days:
         gone = _in_chunks(engine, partial(_prune_events, before_ns=now_ns - events_days * DAY_NS))
@@ -82,7 +86,7 @@ def prune(
         answers = connection.execute(
             delete(idempotency_keys).where(idempotency_keys.c.created_ns < now_ns - idempotency.KEPT_NS)
         ).rowcount
-    return Removed(packets, points, gone, looked_at, proofs, answers)
+    return Removed(packets, points, places, gone, looked_at, proofs, answers)
 
 
 def erase_history(engine: Engine, vehicle_pk: int) -> None:
@@ -147,3 +151,11 @@ def _prune_track(connection: Connection, vehicle_pk: int, before_ns: int | None)
     if not times:
         return 0
     return connection.execute(delete(track_points).where(mine, track_points.c.t_ns <= times[-1])).rowcount
+
+
+def _forget_places(connection: Connection, vehicle_pk: int, before_ns: int) -> int:
+    table = manoeuvres
+    placed = and_(table.c.vehicle_pk == vehicle_pk, table.c.start_ns < before_ns, table.c.lat_deg.is_not(None))
+    some = select(table.c.id).where(placed).limit(CHUNK)
+    nowhere = dict.fromkeys(("lat_deg", "lon_deg", "sd_n_m", "sd_e_m", "cov_ne_m2"))
+    return connection.execute(update(table).where(table.c.id.in_(some)).values(nowhere)).rowcount

@@ -1,4 +1,4 @@
-"""What people said of accidents and of what was taken for none."""
+"""What people said of accidents, of what was taken for none, and of manoeuvres."""
 
 from __future__ import annotations
 

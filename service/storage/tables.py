@@ -7,6 +7,7 @@ from sqlalchemy import (
     BigInteger,
     Boolean,
     Column,
+    Date,
     Float,
     ForeignKey,
     Index,
@@ -16,6 +17,7 @@ from sqlalchemy import (
     SmallInteger,
     String,
     Table,
+    Text,
     UniqueConstraint,
 )
 
@@ -181,8 +183,12 @@ track_points = Table(
     Column("sd_yaw_deg", Float(53)),
     Column("gnss_used", Boolean, nullable=False),
     Column("mode", SmallInteger, nullable=False),
+    Column("sd_v_h_mps", Float(53)),
+    Column("sd_tilt_deg", Float(53)),
+    Column("sd_accel_bias_mps2", Float(53)),
     sqlite_with_rowid=False,
 )
+"""``sd_v_h_mps``, ``sd_tilt_deg`` and ``sd_accel_bias_mps2`` are of one horizontal axis; null in rows from before."""
 
 trips = Table(
     "trips",
@@ -200,8 +206,82 @@ trips = Table(
     Column("moving_s", Float(53), nullable=False),
     Column("coasting_s", Float(53), nullable=False),
     Column("max_speed_mps", Float(53), nullable=False),
+    Column("due_ns", BigInteger),
+    Column("assessed_ns", BigInteger),
+    Column("model_sha256", String(64)),
     Index("ix_trips_vehicle_pk_start_ns", "vehicle_pk", "start_ns"),
+    Index("ix_trips_due_ns", "due_ns"),
 )
+"""``due_ns`` is since when, by the service's clock, a trip waits to be assessed, or assessed anew as something about it
+changed; null where there is nothing to do. ``model_sha256`` names what it was assessed by."""
+
+manoeuvres = Table(
+    "manoeuvres",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), nullable=False),
+    Column("vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), nullable=False),
+    Column("kind", String(16), nullable=False),
+    Column("start_ns", BigInteger, nullable=False),
+    Column("peak_ns", BigInteger, nullable=False),
+    Column("end_ns", BigInteger, nullable=False),
+    Column("stored_ns", BigInteger, nullable=False),
+    Column("peak_mps2", Float(53), nullable=False),
+    Column("direction", String(8), nullable=False),
+    Column("aggressive", Boolean, nullable=False),
+    Column("counted", Boolean, nullable=False),
+    Column("recovery", Boolean, nullable=False),
+    Column("excused", String(16)),
+    Column("verdict", String(16)),
+    Column("speed_before_mps", Float(53)),
+    Column("speed_at_peak_mps", Float(53)),
+    Column("speed_after_mps", Float(53)),
+    Column("across_mps2", Float(53)),
+    Column("radius_m", Float(53)),
+    Column("heading_change_deg", Float(53)),
+    Column("lat_deg", Float(53)),
+    Column("lon_deg", Float(53)),
+    Column("sd_n_m", Float(53)),
+    Column("sd_e_m", Float(53)),
+    Column("cov_ne_m2", Float(53)),
+    Index("ix_manoeuvres_vehicle_pk_start_ns", "vehicle_pk", "start_ns"),
+)
+"""A manoeuvre belongs to the trip within whose time it began. ``excused`` says why it does not count against the
+driver: accident or reviewer; ``verdict`` is what a reviewer said last. The place is null where there is none, and goes
+with the track."""
+
+trip_records = Table(
+    "trip_records",
+    metadata,
+    Column("trip_id", String(36), ForeignKey("trips.id", ondelete="CASCADE"), primary_key=True),
+    Column("vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), nullable=False),
+    Column("start_ns", BigInteger, nullable=False),
+    Column("day", Date, nullable=False),
+    Column("model_sha256", String(64), nullable=False),
+    Column("assessed_ns", BigInteger, nullable=False),
+    Column("record", JSON, nullable=False),
+    Column("cells", LargeBinary, nullable=False),
+    Column("timeline", LargeBinary, nullable=False),
+    Index("ix_trip_records_vehicle_pk_start_ns", "vehicle_pk", "start_ns"),
+    Index("ix_trip_records_vehicle_pk_day", "vehicle_pk", "day"),
+)
+"""What a trip adds to scores: ``core.scoring.record.Record`` with its cells apart (``cell_sums``), and its masses
+by second (``service.trips.timeline``). ``day`` is the local one on which it began."""
+
+record_rollups = Table(
+    "record_rollups",
+    metadata,
+    Column(
+        "vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), primary_key=True, autoincrement=False
+    ),
+    Column("period", String(8), primary_key=True),
+    Column("begin", Date, primary_key=True),
+    Column("zone", String(64), nullable=False),
+    Column("record", JSON, nullable=False),
+    Column("cells", LargeBinary, nullable=False),
+)
+"""Sums of records: of a day over its trips, of a month over its days, of a year over its months; ``zone`` is the one
+by which days are told apart."""
 
 accidents = Table(
     "accidents",
@@ -301,8 +381,25 @@ reviews = Table(
     Column("created_ns", BigInteger, nullable=False),
     Index("ix_reviews_subject_id_created_ns", "subject_id", "created_ns"),
 )
-"""What people said of accidents and candidates (``subject_id``); ``reviewer`` is the id of the API key, null while
+"""What people said of accidents, candidates, manoeuvres (``subject_id``); ``reviewer`` is an API key's id, null while
 auth is off; ``before`` and ``after`` are the subject's status."""
+
+erasure_requests = Table(
+    "erasure_requests",
+    metadata,
+    Column("id", String(36), primary_key=True),
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), nullable=False),
+    Column("vehicle_id", String(128), nullable=False),
+    Column("from_ns", BigInteger),
+    Column("to_ns", BigInteger),
+    Column("unregister", Boolean, nullable=False),
+    Column("reason", String(4000), nullable=False),
+    Column("actor", String(32)),
+    Column("created_ns", BigInteger, nullable=False),
+    Column("removed", JSON, nullable=False),
+    Index("ix_erasure_requests_tenant_id_created_ns", "tenant_id", "created_ns"),
+)
+"""What was erased, for whom to show it to: ``removed`` counts rows by table. It outlives the vehicle."""
 
 audit = Table(
     "audit",
@@ -318,6 +415,18 @@ audit = Table(
     sqlite_autoincrement=True,
 )
 """Who did what to what: kept when the subject is erased, so nothing personal goes into ``detail``."""
+
+rating_documents = Table(
+    "rating_documents",
+    metadata,
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), primary_key=True),
+    Column("part", String(32), primary_key=True),
+    Column("version", Integer, primary_key=True, autoincrement=False),
+    Column("text", Text),
+    Column("created_ns", BigInteger, nullable=False),
+    Column("created_by", String(32)),
+)
+"""What a tenant rates by: TOML or JSON, as it was sent; null takes the shipped one back. The newest version holds."""
 
 events = Table(
     "events",

@@ -1,11 +1,11 @@
-"""Trips and tracks, read."""
+"""Trips and tracks: read, and which of them wait to be assessed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, select, tuple_
+from sqlalchemy import Connection, Row, Select, and_, func, or_, select, tuple_, update
 
 from service.storage.tables import track_points, trips, vehicles
 
@@ -28,6 +28,9 @@ class TripRow:
     moving_s: float
     coasting_s: float
     max_speed_mps: float
+    due_ns: int | None = None
+    assessed_ns: int | None = None
+    model_sha256: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +54,9 @@ class TrackRow:
     sd_yaw_deg: float | None
     gnss_used: bool
     mode: int
+    sd_v_h_mps: float | None = None
+    sd_tilt_deg: float | None = None
+    sd_accel_bias_mps2: float | None = None
 
 
 def find(connection: Connection, tenant_id: str, trip_id: str) -> TripRow | None:
@@ -83,10 +89,58 @@ def page(
 
 def track(connection: Connection, trip: TripRow) -> list[TrackRow]:
     """The fused positions of a trip, in time."""
+    return positions(connection, trip.vehicle_pk, trip.start_ns, trip.end_ns)
+
+
+def due(connection: Connection, now_ns: int, silent_ns: int, limit: int) -> list[TripRow]:
+    """Trips that wait to be assessed, the longest first: ended, or untouched for ``silent_ns``."""
+    ready = and_(trips.c.due_ns <= now_ns, or_(trips.c.ended, trips.c.due_ns <= now_ns - silent_ns))
+    statement = select(trips, vehicles.c.vehicle_id).join(vehicles, vehicles.c.pk == trips.c.vehicle_pk).where(ready)
+    return [_trip(row) for row in connection.execute(statement.order_by(trips.c.due_ns, trips.c.id).limit(limit))]
+
+
+def waiting(connection: Connection) -> tuple[int, int | None]:
+    """How many ended trips wait to be assessed, and since when the first of them does."""
+    row = connection.execute(select(func.count(), func.min(trips.c.due_ns)).where(trips.c.due_ns >= 0, trips.c.ended))
+    count, since_ns = row.one()
+    return count, since_ns
+
+
+def mark_due(connection: Connection, vehicle_pk: int, from_ns: int, to_ns: int, now_ns: int) -> None:
+    """Have a vehicle's trips assessed anew that touch the time from ``from_ns`` to ``to_ns``."""
+    touched = and_(trips.c.vehicle_pk == vehicle_pk, trips.c.start_ns <= to_ns, trips.c.end_ns >= from_ns)
+    connection.execute(update(trips).where(touched).values(due_ns=now_ns))
+
+
+def mark_trip_due(connection: Connection, trip_id: str | None, now_ns: int) -> None:
+    """Have a trip assessed anew."""
+    connection.execute(update(trips).where(trips.c.id == trip_id).values(due_ns=now_ns))
+
+
+def mark_assessed(connection: Connection, trip: TripRow, now_ns: int, model_sha256: str) -> bool:
+    """Note that a trip is assessed; False, and nothing noted, where it has changed since it was read."""
+    values = {"due_ns": None, "assessed_ns": now_ns, "model_sha256": model_sha256}
+    same = and_(trips.c.id == trip.id, trips.c.due_ns == trip.due_ns)
+    return connection.execute(update(trips).where(same).values(values)).rowcount == 1
+
+
+def give_up(connection: Connection, trip: TripRow) -> None:
+    """Let a trip wait no more, until something about it changes."""
+    same = and_(trips.c.id == trip.id, trips.c.due_ns == trip.due_ns)
+    connection.execute(update(trips).where(same).values(due_ns=None))
+
+
+def oldest_position_ns(connection: Connection, vehicle_pk: int) -> int | None:
+    """How far back a vehicle's track is kept."""
+    mine = track_points.c.vehicle_pk == vehicle_pk
+    first: int | None = connection.execute(select(func.min(track_points.c.t_ns)).where(mine)).scalar()
+    return first
+
+
+def positions(connection: Connection, vehicle_pk: int, from_ns: int, to_ns: int) -> list[TrackRow]:
+    """The fused positions of a time, both ends included."""
     statement = select(*_TRACK_COLUMNS).where(
-        track_points.c.vehicle_pk == trip.vehicle_pk,
-        track_points.c.t_ns >= trip.start_ns,
-        track_points.c.t_ns <= trip.end_ns,
+        track_points.c.vehicle_pk == vehicle_pk, track_points.c.t_ns.between(from_ns, to_ns)
     )
     return [TrackRow(*row) for row in connection.execute(statement.order_by(track_points.c.t_ns))]
 

@@ -88,6 +88,11 @@ def put(connection: Connection, tenant_id: str, vehicle_id: str, config: Vehicle
     return _vehicle(connection, row)
 
 
+def delete_row(connection: Connection, vehicle_pk: int) -> None:
+    """Remove a vehicle's row, which takes along every row that is about it; tell the directory after the commit."""
+    connection.execute(delete(vehicles).where(vehicles.c.pk == vehicle_pk))
+
+
 def newest_packet(connection: Connection, vehicle_pk: int) -> PacketRow | None:
     """The vehicle's newest packet in the journal; rows without payload are no packets."""
     row = connection.execute(
@@ -197,13 +202,17 @@ class VehicleDirectory:
             row = find(connection, tenant_id, vehicle_id)
             if row is None:
                 return False
-            connection.execute(delete(vehicles).where(vehicles.c.pk == row.ref.pk))
+            delete_row(connection, row.ref.pk)
+        self.removed(row.ref)
+        return True
+
+    def removed(self, ref: VehicleRef) -> None:
+        """Take in that a vehicle's row was removed in a transaction of the caller's, which is now committed."""
         with self._lock:
             self._generation += 1
-            self._by_name.pop((tenant_id, vehicle_id), None)
-            self._by_pk.pop(row.ref.pk, None)
-        self._tell([row.ref.pk])
-        return True
+            self._by_name.pop((ref.tenant_id, ref.vehicle_id), None)
+            self._by_pk.pop(ref.pk, None)
+        self._tell([ref.pk])
 
     def changed(self, ref: VehicleRef) -> None:
         """Take in a vehicle that was changed in a transaction of the caller's, which is now committed."""

@@ -13,14 +13,16 @@ from core.scoring.record import MOST_EVIDENCE, BeliefSums, Evidence, Record, Spe
 
 COUNTS = st.integers(0, 10**12)
 DRIVEN = st.builds(Driven, COUNTS, COUNTS)
-NAMES = st.sampled_from(["a", "b", "c", ""])
+NAMES = st.sampled_from(["a", "b/ms/b", "n", ""])
 SUMS = st.dictionaries(NAMES, COUNTS, max_size=3)
 RECORDS = st.builds(
     Record,
     trips=COUNTS,
     days=COUNTS,
     exposure=st.builds(
-        Exposure, DRIVEN, st.dictionaries(st.sampled_from(Facet), st.dictionaries(NAMES, DRIVEN, max_size=3))
+        Exposure,
+        DRIVEN,
+        st.dictionaries(st.sampled_from(Facet), st.dictionaries(NAMES, DRIVEN, min_size=1, max_size=3)),
     ),
     cells=st.dictionaries(NAMES, DRIVEN, max_size=3),
     coasting_ms=COUNTS,

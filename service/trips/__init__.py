@@ -1,0 +1,1 @@
+"""Trips after they were driven: how risky, what was done, what they add to scores."""

@@ -91,28 +91,34 @@ def periods(count: int, rng: random.Random | None = None) -> Iterator[tuple[int,
         yield from_ns, from_ns + length_ns
 
 
-def measure(url: str | None = None, tell: Callable[[int, int], None] | None = None) -> dict[str, Any]:
+def measure(
+    url: str | None = None,
+    tell: Callable[[int, int], None] | None = None,
+    *,
+    trips_in_all: int = TRIPS,
+    queries: int = QUERIES,
+) -> dict[str, Any]:
     """Milliseconds of a score over HTTP, of a service of its own on a loopback connection that is kept, and of reading
     the record alone; ``url`` is an empty database, by default a SQLite file."""
     with TemporaryDirectory(prefix="telefuse-bench-") as directory:
         url = url or f"sqlite:///{Path(directory) / 'scores.db'}"
         tell = tell or (lambda done, of: None)
-        found = _of_storage(url, lambda done, _: tell(done, 3 * QUERIES))
-        return found | _over_http(Path(directory), url, lambda done, _: tell(2 * QUERIES + done, 3 * QUERIES))
+        found = _of_storage(url, trips_in_all, queries, lambda done: tell(done, 3 * queries))
+        return found | _over_http(Path(directory), url, queries, lambda done: tell(2 * queries + done, 3 * queries))
 
 
-def _over_http(directory: Path, url: str, tell: Callable[[int, int], None]) -> dict[str, Any]:
+def _over_http(directory: Path, url: str, queries: int, tell: Callable[[int], None]) -> dict[str, Any]:
     service = ServiceProcess(directory / "service", free_port(), free_port(), zenoh_mode="off", database_url=url)
     service.start()
     try:
         with httpx.Client(base_url=service.http_url, trust_env=False) as client:
-            figures: dict[str, Any] = {"http_floor_ms": _percentiles([_ms(client, "/livez") for _ in range(QUERIES)])}
+            figures: dict[str, Any] = {"http_floor_ms": _percentiles([_ms(client, "/livez") for _ in range(queries)])}
             spent: dict[str, list[float]] = {product: [] for product in Product}
-            for number, (from_ns, to_ns) in enumerate(periods(QUERIES, random.Random(4))):
+            for number, (from_ns, to_ns) in enumerate(periods(queries, random.Random(4))):
                 product = list(Product)[number % len(Product)]
                 path = f"/v1/vehicles/{VEHICLE}/scores/{product}"
                 spent[product].append(_ms(client, path, {"from": rfc3339(from_ns), "to": rfc3339(to_ns)}))
-                tell(number, QUERIES)
+                tell(number)
     finally:
         service.stop()
     figures["http_ms"] = _percentiles([one for of_product in spent.values() for one in of_product])
@@ -128,34 +134,39 @@ def _ms(client: httpx.Client, path: str, query: dict[str, str] | None = None) ->
     return spent
 
 
-def _of_storage(url: str, tell: Callable[[int, int], None]) -> dict[str, Any]:
+def _of_storage(url: str, trips_in_all: int, queries: int, tell: Callable[[int], None]) -> dict[str, Any]:
     with _database(url) as engine:
         schema.upgrade(engine)
         with write(engine) as connection:
             tenants.ensure(connection, tenants.DEFAULT_TENANT)
             pk = vehicles.put(connection, tenants.DEFAULT_TENANT, VEHICLE, VehicleConfig()).ref.pk
             begin = time.perf_counter()
-            seed(connection, pk)
+            seed(connection, pk, trips_in_all)
             seeded_s = time.perf_counter() - begin
         gc.freeze()  # as the service does: see service.cli.serve
-        found: dict[str, Any] = {"database": engine.dialect.name, "trips": TRIPS, "years": YEARS, "queries": QUERIES}
+        found: dict[str, Any] = {
+            "database": engine.dialect.name,
+            "trips": trips_in_all,
+            "years": YEARS,
+            "queries": queries,
+        }
         for cells in (False, True):
             spent = []
-            for number, (from_ns, to_ns) in enumerate(periods(QUERIES)):
+            for number, (from_ns, to_ns) in enumerate(periods(queries)):
                 begin = time.perf_counter()
                 with read(engine) as connection:
                     records.of_period(connection, pk, from_ns, to_ns, cells=cells)
                 spent.append(1e3 * (time.perf_counter() - begin))
-                tell(number + cells * QUERIES, 2 * QUERIES)
+                tell(number + cells * queries)
             name = "with_cells_ms" if cells else "ms"
             found[name] = _percentiles(spent)
-        found["put_ms"] = _putting_ms(engine, pk)
+        found["put_ms"] = _putting_ms(engine, pk, trips_in_all)
         return found | {"at_most_ms": AT_MOST_MS, "seeded_s": round(seeded_s, 1)}
 
 
-def _putting_ms(engine: Engine, vehicle_pk: int) -> dict[str, float]:
+def _putting_ms(engine: Engine, vehicle_pk: int, trips_in_all: int) -> dict[str, float]:
     rng, spent = random.Random(3), []
-    for number in rng.sample(range(TRIPS), 50):
+    for number in rng.sample(range(trips_in_all), 50):
         with write(engine) as connection:
             row = records.find(connection, f"{vehicle_pk}-{number}")
             assert row is not None

@@ -86,6 +86,19 @@ def test_many_rows_go_in_many_small_transactions(any_database, pk):
     assert remaining(any_database, tables.track_points.c.t_ns) == [T0 + (count - 1) * NS], "where it stands is known"
 
 
+def test_a_manoeuvre_loses_its_place_with_the_track_and_is_kept(any_database, pk):
+    old, young = NOW - 31 * DAY, NOW - 29 * DAY
+    add(any_database, tables.track_points, [point_row(pk, 0)])
+    checkpoint(any_database, pk, 0, Sequencer())
+    same = {"tenant_id": "acme", "vehicle_pk": pk, "kind": "braking", "stored_ns": 0, "peak_mps2": 5.0, "direction": ""}
+    same |= {"aggressive": True, "counted": True, "recovery": False, "lat_deg": 57.7, "lon_deg": 11.9, "sd_n_m": 1.0}
+    rows = [same | {"id": str(t), "start_ns": t, "peak_ns": t, "end_ns": t} for t in (old, young)]
+    add(any_database, tables.manoeuvres, rows)
+    assert prune(any_database).manoeuvre_places == 1
+    assert remaining(any_database, tables.manoeuvres.c.lat_deg) in ([57.7, None], [None, 57.7])
+    assert prune(any_database).manoeuvre_places == 0
+
+
 def test_events_go_unless_a_webhook_still_waits(any_database, pk):
     endpoint = {"id": "e", "tenant_id": "acme", "url": "https://x", "description": "", "types": [], "secrets": []}
     add(any_database, tables.webhook_endpoints, [endpoint | {"status": "enabled", "created_ns": 0, "updated_ns": 0}])

@@ -77,6 +77,27 @@ class TripBody(EventBody):
     max_speed_mps: float
 
 
+class ScoreFigures(EventBody):
+    """A score as it is told; its reasons are at ``GET /v1/vehicles/{vehicle_id}/scores/{product}``."""
+
+    score: float | None = Field(description="0 to 100; null where nothing was driven")
+    interval95: tuple[float, float] | None
+    relativity: float | None = Field(description="Expected claims over those of the portfolio's mean driver")
+
+
+class ScoreBody(EventBody):
+    """Data of ``score.updated``: the scores of the year up to a vehicle's last trip, as they are now."""
+
+    vehicle_id: str
+    trip_id: str | None = Field(description="The trip that changed them, or whose record was changed")
+    cause: str = Field(description="trip: one more; rescored: a review, an accident or later data changed one; erasure")
+    from_ns: int = Field(description="Begin of the period")
+    to_ns: int = Field(description="End of the period")
+    scores: dict[str, ScoreFigures] = Field(description="By product: payd, phyd, pwyd")
+    model_version: str
+    model_sha256: str
+
+
 class CalibrationChangedBody(EventBody):
     """Data of ``calibration.changed``: somebody gave a vehicle another; ``GET …/calibrations`` has it."""
 

@@ -22,7 +22,9 @@ from service.api import (
     health,
     manoeuvres,
     problems,
+    rating,
     reviews,
+    scores,
     trips,
     vehicles,
     webhook_endpoints,
@@ -86,6 +88,8 @@ def create_app(settings: Settings, runtime: Runtime | None = None) -> FastAPI:
         reviews,
         erasure_requests,
         events,
+        scores,
+        rating,
         webhook_endpoints,
     ):
         v1.include_router(module.router)

@@ -26,13 +26,14 @@ from service.ingest.journal import Journal
 from service.ingest.receiver import Receiver
 from service.ingest.zenoh import ZenohIngest
 from service.observability import Metrics
+from service.rating.scoring import Reading
 from service.roads.matching import RoadService
 from service.settings import Settings
 from service.storage import retention, schema
 from service.storage.database import open_database, read
 from service.storage.holding import hold_database
 from service.storage.vehicles import VehicleDirectory, VehicleRef
-from service.trips.worker import TripWorker
+from service.trips.worker import TripPolicy, TripWorker
 from service.webhooks.outbox import NewEvent
 from service.webhooks.sender import Sender
 
@@ -65,11 +66,13 @@ class Runtime:
     assessing: TripWorker
     roads: RoadService
     zenoh: ZenohIngest
+    reading: Reading
     _sending: asyncio.Task[None]
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.metrics = Metrics()
+        self.reading = Reading()
         self._running = AsyncExitStack()
         self._started = False
 
@@ -147,7 +150,15 @@ class Runtime:
         )
         self.proving.start()
         at_stop(self.proving.stop)
-        self.assessing = TripWorker(self.database, self.directory, self.roads, self.metrics)
+        self.assessing = TripWorker(
+            self.database,
+            self.directory,
+            self.roads,
+            self.metrics,
+            reading=self.reading,
+            policy=TripPolicy(silent_s=settings.trip_silence_s),
+            tell=self.tell,
+        )
         self.assessing.start()
         at_stop(self.assessing.stop)
         # Nothing is taken before this line, and nothing after its stop; what comes is refused to be sent again.

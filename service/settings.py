@@ -93,6 +93,14 @@ class Settings(BaseSettings):
         description="Seconds, in the packets' own time, that a missing packet is waited for.",
     )
 
+    trip_silence_s: float = Field(
+        default=900.0,
+        ge=1,
+        le=86_400,
+        description="Seconds without a packet after which a trip that did not end is scored as it is; again when more "
+        "comes.",
+    )
+
     retention_journal_days: int = Field(
         default=30,
         ge=0,

@@ -19,9 +19,10 @@ TOLD: Final = 9
 """Columns of what is told, float64; beside it start, peak and end, int64."""
 
 (
-    _LOW_PASS, _BRAKING, _ACCELERATION, _CORNERING, _LANE, _EXIT, _SETTLED, _LEAST, _GATE, _SHOWN, _CORNER_GATE, _FLOOR,
-    _LANE_S, _LANE_GAP, _LANE_HEADING, _LANE_TURN, _LANE_LEAST, _LANE_MOST, _REPEAT, _RECOVERY, _DISTURBED, _GAP,
-) = range(22)  # fmt: skip
+    _LOW_PASS, _BRAKING, _ACCELERATION, _CORNERING, _LANE, _EXIT, _SETTLED, _LEAST, _KEPT, _KEPT_SHARE, _GATE,
+    _SHOWN, _CORNER_GATE, _FLOOR, _LANE_S, _LANE_GAP, _LANE_HEADING, _LANE_TURN, _LANE_LEAST, _LANE_MOST, _REPEAT,
+    _RECOVERY, _GAP,
+) = range(23)  # fmt: skip
 """Limits in the order of ``ManoeuvreThresholds``."""
 
 _LAST: Final = 0
@@ -35,10 +36,12 @@ TIMES: Final = _HELD_T + 4
 _LP: Final = 0
 """Two poles each of forward, right and yaw."""
 _V0: Final = 6
-_SIZE: Final = 11
-_X_PEAK, _X_BEFORE, _X_AFTER, _X_SPEED, _X_ACROSS, _X_YAW, _X_HEADING, _X_SIDE, _X_AWAY, _X_WAY, _X_SUM = range(11)
+_SIZE: Final = 12
+(
+    _X_PEAK, _X_BEFORE, _X_AFTER, _X_SPEED, _X_ACROSS, _X_YAW, _X_HEADING, _X_SIDE, _X_AWAY, _X_WAY, _X_SUM, _X_KEPT,
+) = range(12)  # fmt: skip
 """Of an excursion: as told; its side; how far it led aside of the heading at its begin, and how far along; the
-integral of its acceleration."""
+integral of its acceleration, and how long it was kept up."""
 _HELD: Final = _V0 + 3 * _SIZE
 VALUES: Final = _HELD + _SIZE
 
@@ -86,10 +89,13 @@ def scan(
                 gained = (of[_X_AFTER] - of[_X_BEFORE]) * (-1.0 if kind == BRAKING else 1.0)
                 # What the speed does not show is an error of tilt.
                 sound = not (fastest < limits[_GATE] or gained < limits[_SHOWN] * of[_X_SUM])
-                if of[_X_PEAK] >= level and _lasted(at, limits[_LEAST]) and sound:
+                kept = kind == BRAKING or of[_X_KEPT] >= limits[_KEPT]
+                if of[_X_PEAK] >= level and kept and _lasted(at, limits[_LEAST]) and sound:
                     _tell(told, told_ns, count, kind, at, of)
                     count += 1
                 at[_ACTIVE] = 0
+            elif x >= limits[_KEPT_SHARE] * level:
+                of[_X_KEPT] += dt
 
         at, of = times[_T0 + 8 : _T0 + 12], values[_V0 + 2 * _SIZE : _V0 + 3 * _SIZE]
         held_at, held = times[_HELD_T : _HELD_T + 4], values[_HELD : _HELD + _SIZE]

@@ -59,6 +59,12 @@ class ManoeuvreThresholds(Tunables):
         0.4, unit="s", low=0.0, high=5.0, source="choice: so long below it; the time of a gear's change"
     )
     least_s: float = tunable(0.4, unit="s", low=0.0, high=5.0, source="choice: shorter is a bump or a kerb")
+    kept_s: float = tunable(
+        0.0, unit="s", low=0.0, high=20.0, source="choice: how long an acceleration is kept up at least; see PHONE"
+    )
+    kept_share: float = tunable(
+        0.75, unit="1", low=0.05, high=1.0, source="choice: of its threshold, above which an acceleration is kept up"
+    )
     longitudinal_gate_mps: float = tunable(
         10.0 / 3.6, unit="m/s", low=0.0, high=50.0, source="GNSS gates from 10 km/h (SOURCES): fastest of the episode"
     )
@@ -91,13 +97,6 @@ class ManoeuvreThresholds(Tunables):
     recovery_s: float = tunable(
         2.0, unit="s", low=0.0, high=60.0, source="choice: taking up speed at once after braking belongs to it"
     )
-    disturbed_s: float = tunable(
-        0.0,
-        unit="s",
-        low=0.0,
-        high=60.0,
-        source="choice: fused, a vertical is not moved by a manoeuvre; of a phone's own, see PHONE",
-    )
     gap_s: float = tunable(1.0, unit="s", low=0.05, high=60.0, source="choice: across longer nothing is followed")
     foreseen_s: float = tunable(
         2.0, unit="s", low=0.0, high=60.0, source="choice: who sees a hazard brakes so long before it is detected"
@@ -107,9 +106,10 @@ class ManoeuvreThresholds(Tunables):
     )
 
 
-PHONE: Final = ManoeuvreThresholds(disturbed_s=5.0)
-"""For motion from ``EarthAxes``: a harsh manoeuvre leaves the phone's vertical leaning; what is left of that, after it
-is taken out as far as it is known, looks like braking or pulling for some time constants of 1 s (a choice: five)."""
+PHONE: Final = ManoeuvreThresholds(braking_mps2=3.92, acceleration_mps2=2.45, cornering_mps2=4.41, kept_s=2.5)
+"""For motion from ``EarthAxes``: Scope's .40, .25 and .45 g (SOURCES). Without a speed the first moments of any
+brisk start look harsh: first gear pulls like that. It is left at some 25 km/h, which 2.8 m/s2 takes 2.5 s to; a
+harsh start is kept up for longer (a choice)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ class Episode:
     radius_m : speed over rate of turn at the peak; inf straight ahead, NaN where the speed is unknown
     heading_change_rad : clockwise
     counted : False for a repeat within ``repeat_s`` of one of its kind that counts, and for a recovery
-    recovery : an acceleration at once after a harsh braking; or within ``disturbed_s`` of any harsh manoeuvre
+    recovery : an acceleration at once after a harsh braking
     defensive : explained by a hazard or an accident (``explained``)
     """
 
@@ -218,13 +218,6 @@ class ManoeuvreTracker:
         self._values = np.array(arrays["manoeuvres.values"], dtype=np.float64)
         self._counted = np.array(arrays["manoeuvres.counted"], dtype=np.int64)
 
-    def _recovers(self, kind: Manoeuvre, start_ns: int) -> bool:
-        if kind in (Manoeuvre.CORNERING, Manoeuvre.LANE_CHANGE):
-            return False
-        since = start_ns - self._counted[:, 1]
-        after_braking = kind is Manoeuvre.ACCELERATION and since[0] <= round(1e9 * self._thresholds.recovery_s)
-        return bool(after_braking or since.min() < round(1e9 * self._thresholds.disturbed_s))
-
     def _episode(self, times_ns: npt.NDArray[np.int64], row: npt.NDArray[np.float64]) -> Episode:
         limits, counted = self._thresholds, self._counted
         start, peak, end = times_ns.tolist()
@@ -232,7 +225,8 @@ class ManoeuvreTracker:
         kind, side = _KINDS[code], float(row[scan.SIDE])
         harsh = (limits.braking_mps2, limits.acceleration_mps2, limits.cornering_mps2, limits.lane_change_mps2)[code]
         aggressive = bool(row[scan.PEAK] >= harsh)
-        recovery = self._recovers(kind, start)
+        after_braking = start - int(counted[scan.BRAKING, 1]) <= round(1e9 * limits.recovery_s)
+        recovery = kind is Manoeuvre.ACCELERATION and after_braking
         if aggressive and not recovery:
             counted[code, 1] = end
         counts = not recovery and start - int(counted[code, 0]) > round(1e9 * limits.repeat_s)

@@ -107,7 +107,7 @@ class Record:
             belief=_merged(self.belief, other.belief, BeliefSums(), BeliefSums.__add__),
             coverage=_merged(self.coverage, other.coverage, 0, int.__add__),
             accidents=_merged(self.accidents, other.accidents, 0, int.__add__),
-            evidence=_merged(self.evidence, other.evidence, (), _heaviest),
+            evidence=_merged(self.evidence, other.evidence, (), lambda one, more: heaviest((*one, *more))),
         )
 
     @property
@@ -166,40 +166,6 @@ def total(records: Iterable[Record]) -> Record:
     return reduce(Record.__add__, records, Record())
 
 
-def total_of_json(told: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """What ``to_json`` would tell of the sum of records, from what it told of each.
-
-    Several times as fast as making and adding them; takes what it is given to pieces.
-    """
-    whole: dict[str, Any] = {}
-    pieces: dict[str, set[tuple[int, str, str]]] = {}
-    max_excess_mmps = 0
-    for one in told:
-        for about, found in one.pop("evidence", {}).items():
-            pieces.setdefault(about, set()).update((weight, kind, of) for weight, kind, of in found)
-        max_excess_mmps = max(max_excess_mmps, one.get("speeding", {}).get("max_excess_mmps", 0))
-        _add_to(whole, one)
-    if "speeding" in whole:
-        whole["speeding"]["max_excess_mmps"] = max_excess_mmps
-    heaviest = {about: _heaviest(tuple(Evidence(*one) for one in found), ()) for about, found in pieces.items()}
-    return whole | {"evidence": {about: [list(one) for one in found] for about, found in heaviest.items()}}
-
-
-def _add_to(whole: dict[str, Any], part: dict[str, Any]) -> None:
-    """Add numbers, lists of numbers and maps of either, in place."""
-    for name, value in part.items():
-        mine = whole.get(name)
-        if mine is None:
-            whole[name] = value
-        elif isinstance(value, dict):
-            _add_to(mine, value)
-        elif isinstance(value, list):
-            for index, one in enumerate(value):
-                mine[index] += one
-        else:
-            whole[name] = mine + value
-
-
 def _merged(one: Mapping[str, Any], other: Mapping[str, Any], nothing: Any, plus: Any) -> dict[str, Any]:
     merged = dict(one)
     for key, value in other.items():
@@ -207,9 +173,10 @@ def _merged(one: Mapping[str, Any], other: Mapping[str, Any], nothing: Any, plus
     return merged
 
 
-def _heaviest(one: tuple[Evidence, ...], other: tuple[Evidence, ...]) -> tuple[Evidence, ...]:
+def heaviest(pieces: Iterable[Evidence]) -> tuple[Evidence, ...]:
+    """Those that a record keeps."""
     # The same, whatever is added first: the heaviest, and of equals the one whose id comes first.
-    return tuple(sorted({*one, *other}, key=lambda piece: (-piece.weight, piece.kind, piece.id))[:MOST_EVIDENCE])
+    return tuple(sorted(set(pieces), key=lambda piece: (-piece.weight, piece.kind, piece.id))[:MOST_EVIDENCE])
 
 
 def _driven(labels: Mapping[str, Any]) -> dict[str, Driven]:

@@ -16,9 +16,12 @@ from service.api.idempotency import Idempotent
 from service.api.security import Principal, require
 from service.engine.sessions import open_session
 from service.errors import NotFoundError, UnavailableError
-from service.storage import audit, calibration_runs, erasure, vehicles
+from service.rating.announcing import announce
+from service.storage import audit, calibration_runs, erasure, records, vehicles
 from service.storage.database import read
 from service.storage.erasure import ErasureRow, Span
+from service.storage.vehicles import VehicleRef
+from service.webhooks.outbox import NewEvent
 
 router = APIRouter(tags=["operation"])
 
@@ -36,7 +39,8 @@ def erase(
     their evidence, events with their deliveries, reviews, and what its session knows. What it adds to scores is taken
     out of all sums.
 
-    What was given stays: registration, settings, calibrations, unless `unregister`. The audit says that it was done.
+    Scores that are left are told by score.updated. What was given stays: registration, settings, calibrations, unless
+    `unregister`. The audit says that it was done.
     """
     runtime = request.app.state.runtime
     with read(engine) as connection:
@@ -44,6 +48,7 @@ def erase(
         run_ids = [] if known is None else calibration_runs.ids_of(connection, known.ref.pk)
     span = Span.asked(asked.from_ns, asked.to_ns)
     bulk: dict[str, int] = {}
+    told: list[tuple[VehicleRef, NewEvent]] = []
 
     def create(connection: Connection) -> Response:
         ref = the_vehicle(connection, caller.tenant_id, asked.vehicle_id).ref
@@ -73,6 +78,9 @@ def erase(
         subject = f"vehicle/{asked.vehicle_id}"
         said = {"erasure_request_id": row.id, "removed": dict(row.removed)}
         audit.note(connection, caller.tenant_id, caller.key_id, "vehicle.data_erased", subject, now_ns, said)
+        if row.removed.get("trip_records") and records.bounds_ns(connection, ref.pk) is not None:
+            event = announce(connection, runtime.reading, ref, cause="erasure", trip_id=None, now_ns=now_ns)
+            told.append((ref, event))
         where = {"Location": f"/v1/erasure-requests/{row.id}"}
         return answer(request, _shown(row), status=201, headers=where)
 
@@ -87,6 +95,8 @@ def erase(
     finally:
         if known is not None and is_new:
             runtime.engine.take_back(known.ref.pk)
+    for ref, event in told:
+        runtime.tell(ref, event)
     if known is not None:
         with read(engine) as connection:
             left = vehicles.find(connection, caller.tenant_id, asked.vehicle_id)

@@ -30,6 +30,7 @@ TAGS: Final = [
     {"name": "calibration", "description": "What is known of a box's sensors, and finding it from a recording"},
     {"name": "trips", "description": "Trips and tracks"},
     {"name": "accidents", "description": "Accidents with their places"},
+    {"name": "scores", "description": "Scores, what they rest on, quotes, and what rates them"},
     {"name": "events", "description": "What happened, to be caught up with"},
     {"name": "webhooks", "description": "Events pushed, signed"},
     {"name": "operation", "description": "For whoever runs the service"},

@@ -54,7 +54,7 @@ def measure(folder: Path | None, tell: Tell) -> dict[str, Any]:
 
 def episodes(trip: LabelledTrip) -> list[Episode]:
     """What a tracker finds in a trip's earth axes."""
-    motion = EarthAxes().step(trip.t_ns, trip.east_mps2, trip.north_mps2, trip.yaw_up_radps)
+    motion = EarthAxes().step(trip.t_ns, trip.east_mps2, trip.north_mps2, trip.up_mps2, trip.yaw_up_radps)
     return ManoeuvreTracker(PHONE).step_horizontal(motion)
 
 

@@ -18,6 +18,7 @@ COMMANDS: Final = {
     "evidence": "verify what was kept of an accident",
     "detect": "find accidents in a drive folder",
     "risk": "combine masses of belief, or assess the risk of a drive",
+    "scores": "score a record, and show the model and the tariff that scores and premiums go by",
     "roads": "prepare an OpenStreetMap extract, and find the roads under a drive",
     "replay": "play a drive folder into a running service as a black box would",
     "bench": "measure throughput, latency and the filter's speed on this machine",

@@ -28,6 +28,8 @@ from service.bench import (
     report,
     roads,
     score_queries,
+    scores,
+    scores_report,
     stages,
 )
 from service.bench.fleet import record_drives
@@ -84,21 +86,34 @@ def configure(parser: argparse.ArgumentParser) -> None:
         " in simulation and on recordings; the paper's rule on the same input; beside what is asked of each",
     )
     instead.add_argument(
-        "--score-queries",
-        action="store_true",
-        help="measure how long the record of any period takes to be read, of a vehicle with"
-        f" {score_queries.TRIPS} trips over {score_queries.YEARS} years, on SQLite and on --database-url",
-    )
-    instead.add_argument(
         "--driving",
         action="store_true",
         help="measure the driving manoeuvres instead: what is found of those of labelled trips, and what beside them",
+    )
+    instead.add_argument(
+        "--score-queries",
+        action="store_true",
+        help="measure how long a score over HTTP takes instead, of a vehicle with 10 000 trips over five years",
+    )
+    parser.add_argument(
+        "--database",
+        metavar="URL",
+        help="with --score-queries: an empty database, such as postgresql+psycopg://USER@HOST/NAME (default: SQLite)",
+    )
+    instead.add_argument(
+        "--scores",
+        action="store_true",
+        help="measure the scores instead, over a simulated portfolio with known claim rates: calibration, lift,"
+        " stability, intervals, and what wrong models would show",
     )
     instead.add_argument(
         "--roads",
         type=Path,
         metavar="ROADS",
         help="measure road matching instead, by simulated drives on a folder that 'telefuse roads build' made",
+    )
+    parser.add_argument(
+        "--drivers", type=int, metavar="N", help=f"with --scores: how many drivers (default {scores.DRIVERS})"
     )
     parser.add_argument(
         "--km",
@@ -129,11 +144,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         " recorded drives are (default: ../shared/drives beside the checkout;"
         " the part 'real' is left out where there are none)",
     )
-    parser.add_argument(
-        "--database-url",
-        metavar="URL",
-        help="with --score-queries: an empty PostgreSQL database as well, postgresql+psycopg://…; it is filled",
-    )
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
     parser.add_argument(
         "--to",
@@ -152,23 +162,23 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure; 1 if a packet was lost or taken twice, or an alert did not come."""
     if arguments.recordings is not None and not (arguments.calibration or arguments.accidents or arguments.driving):
         raise UsageError("--recordings is for --calibration, --accidents and --driving; expected one of these")
-    if arguments.database_url is not None and not arguments.score_queries:
-        raise UsageError("--database-url is for --score-queries; expected it beside it")
     if arguments.km is not None and not arguments.accidents:
         raise UsageError("--km is for --accidents; expected --accidents beside it")
+    if arguments.drivers is not None and not arguments.scores:
+        raise UsageError("--drivers is for --scores; expected --scores beside it")
+    if arguments.database is not None and not arguments.score_queries:
+        raise UsageError("--database is for --score-queries; expected --score-queries beside it")
+    if arguments.score_queries:
+        with unwinding_on_sigterm(), Phases() as phases:
+            queried = score_queries.measure(arguments.database, partial(phases.tell, "score queries"))
+        print(json.dumps(queried) if arguments.json else score_queries.lines(queried))
+        return 0
     if arguments.kernel:
         _print_kernel(as_json=arguments.json)
         return 0
     if arguments.belief:
         fused = belief.measure()
         print(json.dumps(fused) if arguments.json else belief.lines(fused))
-        return 0
-    if arguments.score_queries:
-        queried = []
-        for url in (None, *([] if arguments.database_url is None else [arguments.database_url])):
-            with Progress("SQLite" if url is None else "PostgreSQL", 2 * score_queries.QUERIES) as progress:
-                queried.append(score_queries.measure(url, lambda done, _: progress.update(done)))
-        print(json.dumps(queried) if arguments.json else "\n".join(map(score_queries.lines, queried)))
         return 0
     if arguments.navigation:
         with Phases() as phases:
@@ -190,6 +200,11 @@ def run(arguments: argparse.Namespace) -> int:
         with Phases() as phases:
             found = driving.measure(arguments.recordings, partial(phases.tell, "labelled trips"))
         print(json.dumps(found) if arguments.json else driving.tables(found))
+        return 0
+    if arguments.scores:
+        with Phases() as phases:
+            found = scores.measure(scores.DRIVERS if arguments.drivers is None else arguments.drivers, phases.tell)
+        print(json.dumps(found, allow_nan=False) if arguments.json else scores_report.tables(found))
         return 0
     if arguments.accidents:
         km = accident_long.KM if arguments.km is None else arguments.km

@@ -43,6 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
             *default_ports(),
             log_level="warning",
             retention_track_days="0",  # drives may be of years ago
+            trip_silence_s="2",  # the boxes send no more once the drive is over, and a demo does not wait
             dangerous_allow_private_webhook_targets="true",
         )
         say = _Teller(quiet=arguments.json)

@@ -23,6 +23,7 @@ from service.recordings.fusing import Fused, Outage
 from service.risk import telling
 from service.risk.assessing import SOURCES, Clock, assess_drive, by_source
 from service.risk.combining import combined
+from service.risk.districts import district_table
 from service.risk.loading import PRESETS, risk_model, shipped_text
 from service.roads.protocol import NullMatcher, RoadMatcher
 
@@ -39,6 +40,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
     tables = parts.add_parser("tables", help="print a file of tables with its sources, to begin one's own with")
     tables.add_argument("name", choices=(*PRESETS, "vehicle"), nargs="?", default=PRESETS[0], help="which (default)")
     tables.set_defaults(part_run=_tables)
+    districts = parts.add_parser("districts", help="make tables of a CSV of districts' rates, for --tables")
+    districts.add_argument(
+        "file", type=Path, metavar="RATES.csv", help="columns district, rate and, if there, exposure"
+    )
+    districts.add_argument("--source", default="the user's own", metavar="TEXT", help="where the rates come from")
+    districts.set_defaults(part_run=_districts)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -185,4 +192,9 @@ def _roads(asked: Path | None) -> AbstractContextManager[RoadMatcher]:
 
 def _tables(arguments: argparse.Namespace) -> int:
     sys.stdout.write(shipped_text(arguments.name))
+    return 0
+
+
+def _districts(arguments: argparse.Namespace) -> int:
+    sys.stdout.write(district_table(arguments.file, arguments.source))
     return 0

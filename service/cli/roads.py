@@ -41,7 +41,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.toml",
         help="default limits of your own, by country: they go before the ones that come along",
     )
-    build.add_argument(
+    districts = build.add_mutually_exclusive_group()
+    districts.add_argument(
+        "--districts",
+        type=Path,
+        metavar="FILE",
+        help="districts of your own: GeoJSON polygons with a property 'name', or CSV with columns name and wkt",
+    )
+    districts.add_argument(
         "--district-level",
         type=int,
         metavar="N",
@@ -89,6 +96,7 @@ def _build(arguments: argparse.Namespace) -> int:
             limits=arguments.limits,
             country=arguments.country,
             district_level=arguments.district_level,
+            own_districts=arguments.districts,
         )
     if arguments.json:
         print(json.dumps({"folder": str(arguments.out)} | manifest.json(), ensure_ascii=False))
@@ -97,7 +105,8 @@ def _build(arguments: argparse.Namespace) -> int:
     print(f"  limits: {manifest.ways_with_stated_limit} ways as mapped, {manifest.ways_with_assumed_limit} assumed by")
     print(f"  the defaults of {', '.join(manifest.countries) or 'no country: give --country'}")
     if manifest.districts:
-        print(f"  {manifest.districts} districts, of admin_level {manifest.district_level}")
+        by = f"of admin_level {manifest.district_level}" if arguments.districts is None else f"of {arguments.districts}"
+        print(f"  {manifest.districts} districts, {by}")
     else:
         print("  no districts: the extract has no administrative boundaries that close")
     return 0

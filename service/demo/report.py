@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 from service.demo.boxes import Box
 from service.demo.comparison import Crash
 from service.demo.service_process import ServiceProcess
 from service.demo.story import Result
 
+PRODUCTS: Final = ("payd", "phyd", "pwyd")
+
 
 def figures(result: Result) -> dict[str, Any]:
     """One object with SI units; the first keys of each level are the interface's, the others may grow."""
+    vehicles = {vehicle_id: _scores_of(scores) for vehicle_id, scores in result.scores.items()}
     longest = max(result.tunnels, key=lambda tunnel: tunnel.max_error_m, default=None)
     return {
         "accidents": [_crash_figures(crash) for crash in result.crashes],
@@ -29,7 +32,7 @@ def figures(result: Result) -> dict[str, Any]:
             "lost": result.lost,
         },
         "webhooks": {"delivered": result.delivered, "verified": result.verified, "expected": result.events},
-        "scores": {"payd": None, "phyd": None, "pwyd": None},
+        "scores": _scores_of(next(iter(result.scores.values()), {})) | {"vehicles": vehicles},
         "seconds": result.seconds,
         "shortfalls": result.shortfalls(),
     }
@@ -54,7 +57,7 @@ def table(result: Result, boxes: Sequence[Box]) -> str:
         f"Webhooks\n  {result.events} sent (a ping among them), {result.delivered} delivered, "
         f"{result.verified} with a valid signature"
     )
-    sections.append("Scores\n  none yet: this version does not score driving")
+    sections.append(_scores(result))
     short = result.shortfalls()
     verdict = "Everything promised held." if not short else "What fell short\n" + "\n".join(f"  {one}" for one in short)
     return "\n\n".join([*sections, verdict])
@@ -72,6 +75,7 @@ def addresses(service: ServiceProcess, box: Box, result: Result) -> str:
             *(f"  {url}/v1/accidents/{accident_id}/dossier  an accident on a page" for accident_id in found[:1]),
             f"  curl {url}/v1/vehicles/{box.vehicle_id}/state",
             f"  curl {url}/v1/vehicles/{box.vehicle_id}/trips",
+            f"  curl {url}/v1/vehicles/{box.vehicle_id}/scores   why, in sentences",
             f"  curl {url}/v1/events",
             f"  curl {url}/metrics",
             f"  Zenoh {service.zenoh_endpoint}, log {service.log_path}",
@@ -134,6 +138,27 @@ def _tunnels(result: Result) -> str:
         for tunnel in result.tunnels
     ]
     return "Without GNSS, against the truth\n" + _columns(rows)
+
+
+def _scores(result: Result) -> str:
+    """Scores with their intervals: of so little driving they are the portfolio's more than the driver's."""
+    rows: list[tuple[str, ...]] = [("vehicle", *PRODUCTS, "of the driver's own")]
+    for vehicle_id, scores in result.scores.items():
+        told = [_score(scores.get(product)) for product in PRODUCTS]
+        own = [one["credibility"] for one in scores.values()]
+        rows.append((vehicle_id, *told, f"{100 * max(own):.0f} % at most" if own else ""))
+    return "Scores of 0 to 100, the portfolio's mean driver has 70; with 95 % intervals\n" + _columns(rows)
+
+
+def _score(score: Mapping[str, Any] | None) -> str:
+    if score is None or score["score"] is None:
+        return "none"
+    low, high = score["interval95"]
+    return f"{score['score']:.1f} ({low:.0f} to {high:.0f})"
+
+
+def _scores_of(scores: Mapping[str, Any]) -> dict[str, float | None]:
+    return {product: scores[product]["score"] if product in scores else None for product in PRODUCTS}
 
 
 def _columns(rows: Sequence[tuple[str, ...]]) -> str:

@@ -17,6 +17,8 @@ from service.demo.service_process import ServiceFailedError, ServiceProcess
 
 PROCESSED_WITHIN_S: Final = 60.0
 DELIVERED_WITHIN_S: Final = 15.0
+SCORED_WITHIN_S: Final = 60.0
+"""Trips are scored beside the packets, once the boxes have fallen silent."""
 POLL_S: Final = 0.05
 
 
@@ -31,6 +33,7 @@ class Result:
     acknowledged: int
     processed: int
     distance_m: Mapping[str, float]
+    scores: Mapping[str, Mapping[str, Any]]
     events: int
     alerts: tuple[Received, ...]
     seconds: float
@@ -63,6 +66,7 @@ class Result:
             if crash.alert_latency_ms is None:
                 short.append(f"{name} brought no alert")
         short += [f"{one['properties']['vehicle_id']}: an accident was invented" for one in self.invented]
+        short += [f"{one}: its trips were not scored" for one, scores in self.scores.items() if not scores]
         if self.lost:
             short.append(f"{self.lost} packets were lost")
         if self.delivered < self.events:
@@ -87,9 +91,10 @@ def play(
         ping = _checked(client.post(f"/v1/webhook-endpoints/{endpoint['id']}:test"))
         figures = send_all(boxes, service, progress)
         processed = _wait_processed(client, sum(one.acknowledged for one in figures))
+        scores = {box.vehicle_id: _wait_scored(client, box.vehicle_id) for box in boxes}
         wanted = {ping["event_id"], *(event["id"] for event in _all_events(client))}
         alerts = receiver.wait_until(lambda came: wanted <= {one.id for one in came}, DELIVERED_WITHIN_S)
-        return _judge(client, boxes, figures, processed, len(wanted), alerts, started_s)
+        return _judge(client, boxes, figures, processed, scores, len(wanted), alerts, started_s)
 
 
 def _judge(
@@ -97,6 +102,7 @@ def _judge(
     boxes: Sequence[Box],
     figures: Sequence[BoxFigures],
     processed: int,
+    scores: Mapping[str, Mapping[str, Any]],
     events: int,
     alerts: Sequence[Received],
     started_s: float,
@@ -128,6 +134,7 @@ def _judge(
         acknowledged=sum(one.acknowledged for one in figures),
         processed=processed,
         distance_m=distances,
+        scores=scores,
         events=events,
         alerts=tuple(alerts),
         seconds=time.monotonic() - started_s,
@@ -142,6 +149,18 @@ def _wait_processed(client: httpx.Client, acknowledged: int) -> int:
         if fused >= acknowledged or time.monotonic() > deadline:
             return fused
         time.sleep(POLL_S)
+
+
+def _wait_scored(client: httpx.Client, vehicle_id: str) -> Mapping[str, Any]:
+    """The vehicle's scores by product once all of its trips are in them; nothing if that takes too long."""
+    deadline = time.monotonic() + SCORED_WITHIN_S
+    while time.monotonic() < deadline:
+        trips = _pages(client, f"/v1/vehicles/{vehicle_id}/trips", "trips")
+        scores: Mapping[str, Any] = _checked(client.get(f"/v1/vehicles/{vehicle_id}/scores"))["scores"]
+        if all(one["trips"] == len(trips) for one in scores.values()):
+            return scores
+        time.sleep(10 * POLL_S)
+    return {}
 
 
 def _metric(client: httpx.Client, name: str) -> float:

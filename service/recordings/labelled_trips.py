@@ -34,6 +34,7 @@ class LabelledTrip:
     t_ns: TimeArray
     east_mps2: FloatArray
     north_mps2: FloatArray
+    up_mps2: FloatArray
     yaw_up_radps: FloatArray
     labels: tuple[LabelledSpan, ...]
 
@@ -55,6 +56,7 @@ def read_labelled_trip(folder: Path, name: str) -> LabelledTrip:
         t_ns=times_ns(t_s, 0),
         east_mps2=force["x"][within],
         north_mps2=force["y"][within],
+        up_mps2=force["z"][within],
         yaw_up_radps=np.interp(t_s, rate["t_s"], rate["z"]),
         labels=_labels(folder / f"{name}_labels.csv"),
     )

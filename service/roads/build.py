@@ -17,6 +17,7 @@ from service.roads.extract import Extract, read_extract
 from service.roads.folder import FORMAT, Manifest, RoadFolder
 from service.roads.limits import CountryLimits, assumed_rule
 from service.roads.network import RoadNetwork
+from service.roads.own_districts import read_districts
 from service.roads.protocol import BoolArray, Certainty, FloatArray, IntArray, RoadClass, Surroundings
 from service.roads.surroundings import middles, surroundings_of
 from service.roads.tiles import build_tiles, version
@@ -34,10 +35,12 @@ def build(
     limits: Path | None = None,
     country: str | None = None,
     district_level: int | None = None,
+    own_districts: Path | None = None,
 ) -> Manifest:
     """Build ``out`` from an extract; a folder of roads that is there is replaced once the new one is whole.
 
-    ``country`` holds for roads outside the countries whose borders the extract has. Raises UsageError.
+    ``country`` holds for roads outside the countries whose borders the extract has. ``own_districts`` is a file of
+    polygons that are the districts instead of the map's. Raises UsageError.
     """
     if out.exists() and not (out.is_dir() and (RoadFolder(out).is_built() or not any(out.iterdir()))):
         raise UsageError(f"{out}: is there and holds no built roads; choose a new or an empty folder")
@@ -45,6 +48,7 @@ def build(
     if country is not None and country not in defaults.by_country:
         known = " ".join(sorted(defaults.by_country))
         raise UsageError(f"country {country}: no default limits; expected one of {known}, or a table by --limits")
+    own = None if own_districts is None else read_districts(own_districts)
     extract = read_extract(path, defaults, lambda share: tell("reading", 100.0 * share, 100.0))
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -52,7 +56,7 @@ def build(
             made = RoadFolder(Path(scratch) / "roads")
             made.path.mkdir()
             tell("limits and districts", 0.0, 1.0)
-            manifest = _write_ways(extract, made, defaults, country, district_level)
+            manifest = _write_ways(extract, made, defaults, country, own or Districts.of(extract, district_level))
             tell("building tiles", 0.0, 1.0)
             build_tiles(path, made.tiles, Path(scratch))
             made.write_manifest(manifest)
@@ -66,10 +70,9 @@ def build(
 
 
 def _write_ways(
-    extract: Extract, made: RoadFolder, defaults: CountryLimits, country: str | None, level: int | None
+    extract: Extract, made: RoadFolder, defaults: CountryLimits, country: str | None, districts: Districts
 ) -> Manifest:
     roads = extract.roads
-    districts = Districts.of(extract, level)
     surroundings = surroundings_of(extract)
     countries, country_of_way = countries_of(extract, country)
     limit_kmh, certainty = settled_limits(extract, surroundings, countries, country_of_way, defaults)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 from weakref import WeakKeyDictionary
 
+from pydantic_core import from_json  # three times as fast as json's
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import make_url
 from sqlalchemy.engine.interfaces import DBAPIConnection
@@ -31,11 +32,12 @@ def open_database(url: str) -> Engine:
     """
     parsed = make_url(url)
     if parsed.get_backend_name() != "sqlite":
-        return create_engine(parsed, pool_pre_ping=True)
+        return create_engine(parsed, pool_pre_ping=True, json_deserializer=from_json)
     if not parsed.database or parsed.database == ":memory:":
         raise ValueError("SQLite in memory has one connection and keeps nothing; give a file: sqlite:///FILE")
     Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
-    engine = create_engine(parsed, connect_args={"check_same_thread": False, "isolation_level": None})
+    arguments = {"check_same_thread": False, "isolation_level": None}
+    engine = create_engine(parsed, connect_args=arguments, json_deserializer=from_json)
     _write_locks[engine] = threading.Lock()
 
     @event.listens_for(engine, "connect")

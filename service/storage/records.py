@@ -24,9 +24,9 @@ from sqlalchemy import (
     update,
 )
 
-from core.scoring.record import Record, total_of_json
+from core.scoring.record import Record
 from service.local_days import DEFAULT_ZONE, Period, cover, day_of
-from service.storage import cell_sums
+from service.storage import cell_sums, record_sums
 from service.storage.statements import insert_into
 from service.storage.tables import record_rollups, trip_records
 
@@ -64,7 +64,7 @@ def put(connection: Connection, row: TripRecord, *, zone: str = DEFAULT_ZONE) ->
         "vehicle_pk": row.vehicle_pk,
         "start_ns": row.start_ns,
         "day": day,
-        "record": row.record.to_json(cells=False),
+        "record": record_sums.told_of(row.record),
         "cells": cell_sums.packed(row.record.cells),
         "timeline": row.timeline,
         "model_sha256": row.model_sha256,
@@ -98,7 +98,7 @@ def find(connection: Connection, trip_id: str) -> TripRecord | None:
     if row is None:
         return None
     told = {name: getattr(row, name) for name in TripRecord.__slots__ if name != "record"}
-    record = replace(Record.from_json(row.record), cells=cell_sums.unpacked([row.cells]))
+    record = record_sums.record_of(row.record, cell_sums.unpacked([row.cells]))
     return TripRecord(record=record, **told)
 
 
@@ -135,10 +135,11 @@ def of_period(
         chosen = _columns(trip_records, "start_ns", cells)
         single = connection.execute(select(*chosen).where(mine, or_(*spans))).all()
     # A day counts as one, however little of it is asked for.
-    days = {"days": len({day_of(row.start_ns, zone) for row in single})}
-    told = total_of_json([days, *(row.record for row in (*rows, *single))])
-    record = Record.from_json(told)
-    return replace(record, cells=cell_sums.unpacked([row.cells for row in (*rows, *single)])) if cells else record
+    days = len({day_of(row.start_ns, zone) for row in single})
+    every = (*rows, *single)
+    driven = cell_sums.unpacked([row.cells for row in every]) if cells else None
+    record = record_sums.record_of(record_sums.added(row.record for row in every), driven)
+    return replace(record, days=record.days + days)
 
 
 def bounds_ns(connection: Connection, vehicle_pk: int) -> tuple[int, int] | None:
@@ -219,7 +220,7 @@ def _keep(
             "period": period,
             "begin": begin,
             "zone": zone,
-            "record": total_of_json(one.record for one in made_of) | ({"days": 1} if period is Period.DAY else {}),
+            "record": _told(period, made_of),
             "cells": cell_sums.added([one.cells for one in made_of]),
         }
         for begin, made_of in sorted(parts.items())
@@ -227,6 +228,13 @@ def _keep(
     ]
     if rows:
         connection.execute(insert(table), rows)
+
+
+def _told(period: Period, made_of: Sequence[_Row]) -> dict[str, Any]:
+    told = record_sums.added(one.record for one in made_of)
+    if period is Period.DAY:
+        told["sums"]["days"] = 1
+    return told
 
 
 def _columns(table: Table, key: str, cells: bool) -> list[Column[Any]]:

@@ -17,6 +17,7 @@ from sqlalchemy import (
     SmallInteger,
     String,
     Table,
+    Text,
     UniqueConstraint,
 )
 
@@ -414,6 +415,18 @@ audit = Table(
     sqlite_autoincrement=True,
 )
 """Who did what to what: kept when the subject is erased, so nothing personal goes into ``detail``."""
+
+rating_documents = Table(
+    "rating_documents",
+    metadata,
+    Column("tenant_id", String(64), ForeignKey("tenants.id"), primary_key=True),
+    Column("part", String(32), primary_key=True),
+    Column("version", Integer, primary_key=True, autoincrement=False),
+    Column("text", Text),
+    Column("created_ns", BigInteger, nullable=False),
+    Column("created_by", String(32)),
+)
+"""What a tenant rates by: TOML or JSON, as it was sent; null takes the shipped one back. The newest version holds."""
 
 events = Table(
     "events",

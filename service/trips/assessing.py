@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import cache
 from typing import Final
 from zoneinfo import ZoneInfo
 
@@ -30,7 +29,7 @@ from core.scoring.record import MASS_UNIT, BeliefSums, Evidence, Record, Speedin
 from schemas.vehicles import VehicleConfig
 from service.cells import cells
 from service.risk.instants import EVERY_NS, Instants, by_fixes, by_track, first_known, matched_under, road_of
-from service.risk.loading import PRESETS, risk_model, shipped_text
+from service.risk.loading import RiskBasis
 from service.roads.protocol import Certainty, MatchedPoints, RoadClass, RoadMatcher
 from service.storage.accidents import AccidentRow
 from service.storage.manoeuvres import ManoeuvreRow
@@ -74,18 +73,13 @@ class AssessedTrip:
     excused: Mapping[str, str | None]
 
 
-@cache
-def model_sha256() -> str:
-    """What trips are assessed by: the shipped tables and this module's version."""
-    told = "".join((*map(shipped_text, (PRESETS[0], "vehicle")), risk_model().rule, str(VERSION)))
-    return hashlib.sha256(told.encode()).hexdigest()
+def model_sha256(basis: RiskBasis) -> str:
+    """What trips are assessed by: the tables and this module's version."""
+    return hashlib.sha256(f"{basis.sha256} {VERSION}".encode()).hexdigest()
 
 
-def assess_trip(
-    rows: TripRows, config: VehicleConfig, matcher: RoadMatcher, model: RiskModel | None = None
-) -> AssessedTrip:
+def assess_trip(rows: TripRows, config: VehicleConfig, matcher: RoadMatcher, model: RiskModel) -> AssessedTrip:
     """Assess a trip by the vehicle's settings; roads wait for the matcher's processes."""
-    model = risk_model() if model is None else model
     track = track_of(rows.positions)
     t_ns = _seconds(rows.trip)
     instants = first_known(by_track(track, t_ns), _by_fixes(track, t_ns))

@@ -30,7 +30,7 @@ from service.roads.protocol import MatchedPoints
 
 MAGIC: Final = b"TFT1"
 FUSED: Final = "fused"
-_UNITS: Final = {"speed_mps": 0.05, "limit_kmh": 1.0, "limit_certainty": 1.0, "mass": 1e-4, "coverage": 0.005}
+_UNITS: Final = {"speed_mps": 0.1, "limit_kmh": 1.0, "limit_certainty": 1.0, "mass": 1e-4, "coverage": 0.005}
 _NOT_KNOWN: Final = {"u1": 255, "u2": 65535}
 _UNLIMITED: Final = 65534
 

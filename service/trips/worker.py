@@ -15,6 +15,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from core.scoring.record import Record
 from service.local_days import DEFAULT_ZONE
 from service.observability import Metrics
+from service.rating.announcing import announce
+from service.rating.scoring import Reading
 from service.resting import Rest, StoppedError
 from service.roads.protocol import RoadMatcher
 from service.storage import accidents, audit, manoeuvres, records, trips
@@ -24,14 +26,15 @@ from service.storage.trips import TripRow
 from service.storage.vehicles import VehicleDirectory, VehicleRef
 from service.trips.assessing import AROUND_NS, GAP_NS, TripRows, assess_trip, model_sha256
 from service.trips.excusing import with_events
+from service.webhooks.outbox import NewEvent
 
 logger = logging.getLogger(__name__)
 
-OnScored = Callable[[VehicleRef, str], None]
-"""Told after the commit that a trip's record is new or another one: the vehicle, and the trip's id. Must not block."""
+Tell = Callable[[VehicleRef, NewEvent], None]
+"""Hands on an event that was stored, after the commit. Must not block."""
 
 
-def _tell_nobody(_ref: VehicleRef, _trip_id: str) -> None:
+def _tell_nobody(_ref: VehicleRef, _event: NewEvent) -> None:
     return
 
 
@@ -72,15 +75,17 @@ class TripWorker:
         matcher: RoadMatcher,
         metrics: Metrics,
         *,
+        reading: Reading,
         policy: TripPolicy | None = None,
-        on_scored: OnScored = _tell_nobody,
+        tell: Tell = _tell_nobody,
     ) -> None:
         self._database = database
         self._directory = directory
         self._matcher = matcher
         self._metrics = metrics
         self._policy = TripPolicy() if policy is None else policy
-        self._on_scored = on_scored
+        self._reading = reading
+        self._tell = tell
         self._stopping = threading.Event()
         self._reconsidered: set[int] | None = None
         self._lock = threading.Lock()
@@ -152,12 +157,15 @@ class TripWorker:
             if found.before is not None and changed:
                 sums = {"before": _sums(found.before), "after": _sums(found.row.record)}
                 audit.note(connection, ref.tenant_id, None, "trip.rescored", f"trip/{trip.id}", now_ns, sums)
+            cause = "trip" if found.before is None else "rescored"
+            event = (
+                announce(connection, self._reading, ref, cause=cause, trip_id=trip.id, now_ns=now_ns)
+                if changed
+                else None
+            )
         self._metrics.trips_assessed_total.labels(outcome="assessed").inc()
-        if changed:
-            try:
-                self._on_scored(ref, trip.id)
-            except Exception:
-                logger.exception("could not tell that trip %s is scored", trip.id)
+        if event is not None:
+            self._tell(ref, event)
 
     def _take_in_accidents(self, trip: TripRow, now_ns: int) -> None:
         """Have accidents of its first seconds, before it was told, belong to the trip and to no earlier one."""
@@ -175,6 +183,7 @@ class TripWorker:
         with read(self._database) as connection:
             before = records.find(connection, trip.id)
             rows = _rows(connection, trip, ref)
+            basis = self._reading.risk(connection, ref.tenant_id)
             kept_from_ns = trips.oldest_position_ns(connection, ref.pk)
         excused_before = {one.id: one.excused for one in rows.manoeuvres}
         is_gone = kept_from_ns is None or kept_from_ns > trip.start_ns + GAP_NS
@@ -182,9 +191,9 @@ class TripWorker:
             record, excused = with_events(before.record, rows.manoeuvres, rows.accidents)
             timeline, sha256 = before.timeline, before.model_sha256
         else:
-            assessed = assess_trip(rows, ref.config, self._matcher)
+            assessed = assess_trip(rows, ref.config, self._matcher, basis.model)
             record, excused = assessed.record, dict(assessed.excused)
-            timeline, sha256 = assessed.timeline.packed(), model_sha256()
+            timeline, sha256 = assessed.timeline.packed(), model_sha256(basis)
         row = TripRecord(trip.id, ref.pk, trip.start_ns, record, timeline, sha256, now_ns)
         changed = {one: reason for one, reason in excused.items() if reason != excused_before[one]}
         return _Found(row, changed, None if before is None else before.record)

@@ -216,6 +216,6 @@ def test_bad_usage_is_one_line(words: list[str], said: str, capsys: pytest.Captu
 def test_score_queries_read_records_of_a_vehicle_with_many_trips() -> None:
     found = score_queries.measure(trips_in_all=60, queries=20)
     assert (found["database"], found["trips"], found["queries"]) == ("sqlite", 60, 20)
-    for name in ("ms", "with_cells_ms", "put_ms"):
+    for name in ("http_ms", "http_pwyd_ms", "ms", "with_cells_ms", "put_ms"):
         assert 0.0 < found[name]["p50"] <= found[name]["p99"]
         assert f"{found[name]['p99']:.2f} ms" in score_queries.lines(found)

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from core.driving.manoeuvres import Episode, Manoeuvre
@@ -50,21 +53,63 @@ def test_labels_are_found_by_kind_time_and_side_and_the_rest_is_extra():
     assert scored["lane_change"]["f1"] is None
 
 
-def test_aggressive_brakings_and_turns_of_the_recorded_trips_are_found():
+def test_aggressive_manoeuvres_of_the_recorded_trips_are_found():
     place = recording("data", driving.TRIPS)
     assert labelled_trips(place) == ["trip17", "trip20"]
     found = driving.measure(place.parent, lambda done, total: None)
-    both = found["labelled"]["all"]
-    # Asked are 0.8. Accelerations fall short of it: 9 of 10 without a label are of the trip that has no such labels.
-    assert min(both["braking"]["f1"], both["cornering"]["f1"]) >= 0.8
-    assert found["labelled"]["trips"]["trip17"]["acceleration"]["precision"] >= 0.75
     verdict = {row["text"]: row["met"] for row in found["targets"]}
     assert verdict == {
         "labelled trips, braking, 1 - F1": True,
-        "labelled trips, acceleration, 1 - F1": False,
+        "labelled trips, acceleration, 1 - F1": True,
         "labelled trips, cornering, 1 - F1": True,
     }
     assert "cornering" in driving.tables(found)
+
+
+CHANGES = {
+    "other north": lambda trip: turned(trip, math.radians(137.0)),
+    "rougher": lambda trip: noisier(trip, 0.4, 0.02),
+    "gyroscope off": lambda trip: replace(trip, yaw_up_radps=trip.yaw_up_radps + 0.04),
+    "accelerometer off": lambda trip: replace(trip, up_mps2=trip.up_mps2 + 0.3),
+    "gyroscope late": lambda trip: replace(trip, yaw_up_radps=np.roll(trip.yaw_up_radps, 4)),
+    "half the rate": lambda trip: every_other(trip),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_they_are_found_by_another_phone_too(change):
+    # The project's target, 0.8, for each kind: what is found must not hang on this phone's numbers.
+    place = recording("data", driving.TRIPS)
+    trips = [CHANGES[change](read_labelled_trip(place, name)) for name in labelled_trips(place)]
+    scored = [driving.scores(trip.labels, driving.episodes(trip)) for trip in trips]
+    for kind in ("braking", "acceleration", "cornering"):
+        hits, wrong = (sum(sum(one[kind][key] for key in keys) for one in scored) for keys in (("hits",), WRONG))
+        assert 2 * hits / (2 * hits + wrong) >= driving.LEAST_F1, kind
+
+
+WRONG = ("misses", "extra")
+
+
+def turned(trip, angle_rad):
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    east, north = trip.east_mps2, trip.north_mps2
+    return replace(trip, east_mps2=cosine * east - sine * north, north_mps2=sine * east + cosine * north)
+
+
+def noisier(trip, acceleration_mps2, rate_radps):
+    noise = np.random.default_rng(7).standard_normal((4, trip.t_ns.size))
+    return replace(
+        trip,
+        east_mps2=trip.east_mps2 + acceleration_mps2 * noise[0],
+        north_mps2=trip.north_mps2 + acceleration_mps2 * noise[1],
+        up_mps2=trip.up_mps2 + acceleration_mps2 * noise[2],
+        yaw_up_radps=trip.yaw_up_radps + rate_radps * noise[3],
+    )
+
+
+def every_other(trip):
+    names = ("t_ns", "east_mps2", "north_mps2", "up_mps2", "yaw_up_radps")
+    return replace(trip, **{name: getattr(trip, name)[::2] for name in names})
 
 
 def test_figures_as_json_from_another_place(tmp_path, capsys):

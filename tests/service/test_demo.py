@@ -101,11 +101,18 @@ def test_the_error_in_a_tunnel_is_the_greatest_between_its_ends() -> None:
 def test_whatever_was_promised_and_did_not_hold_is_named() -> None:
     features = [found("first", 10.0, north_m=15.5), found("far", 90.0)]
     crashes, invented = compare_accidents("v", truth_drive(), features, {"first": START_NS})
-    result = Result(tuple(crashes), tuple(invented), (), 10, 9, 9, {}, 2, (), 1.0)
+    result = Result(tuple(crashes), tuple(invented), (), 10, 9, 9, {}, {"v": {}}, 2, (), 1.0)
     said = "; ".join(result.shortfalls())
-    for part in ("placed 15.5 m away", "at 40.0 s was not found", "invented", "1 packets were lost", "2 of 2 webhooks"):
+    for part in (
+        "placed 15.5 m away",
+        "at 40.0 s was not found",
+        "invented",
+        "1 packets were lost",
+        "2 of 2 webhooks",
+        "not scored",
+    ):
         assert part in said
-    assert replace(result, crashes=(), invented=(), sent=9, events=0).shortfalls() == []
+    assert replace(result, crashes=(), invented=(), sent=9, events=0, scores={}).shortfalls() == []
 
 
 def test_the_receiver_believes_what_the_public_package_signs_and_nothing_else() -> None:
@@ -148,7 +155,11 @@ def test_the_whole_demo_holds_what_it_promises(tmp_path: Path) -> None:
     assert packets["sent"] == packets["acknowledged"] == packets["processed"] > 800
     assert packets["lost"] == 0
     assert figures["webhooks"]["delivered"] == figures["webhooks"]["verified"] >= 5
-    assert figures["scores"] == {"payd": None, "phyd": None, "pwyd": None}
+    scores = figures["scores"]
+    assert scores["vehicles"]["demo-zenoh"] == {product: scores[product] for product in ("payd", "phyd", "pwyd")}
+    # Of two kilometres the portfolio's mean of 70 is most of each score; without roads it is all of where.
+    assert all(60.0 < scores[product] < 80.0 for product in ("payd", "phyd"))
+    assert scores["pwyd"] == 70.0
 
 
 def test_a_recording_without_truth_and_without_a_crash_is_a_success(tmp_path: Path) -> None:

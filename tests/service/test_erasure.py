@@ -156,6 +156,8 @@ def test_of_a_time_whole_trips_go_and_the_others_stay(car):
     assert "sessions" not in told["removed"], "it ended two hours later"
     assert rows_about(database, pk, spans[0][0], spans[0][1] + 20 * S) == {}
     assert [row["id"] for row in car.trips(1)] == [second["id"]]
+    newest = [one["data"] for one in car.http.get("/v1/events").json()["events"] if one["type"] == "score.updated"][-1]
+    assert (newest["cause"], newest["vehicle_id"]) == ("erasure", "car"), "scores of what is left"
     record = car.record()
     assert (record.distance_m, record.cells, record.days) == (kept.distance_m, kept.cells, 1)
     assert rows_about(database, pk)["journal"] > 200

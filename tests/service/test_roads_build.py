@@ -214,3 +214,17 @@ def test_a_folder_that_is_not_whole_is_refused(tmp_path, built_roads, change, sa
     change(out)
     with pytest.raises(UsageError, match=said):
         RoadService(out)
+
+
+def test_own_polygons_take_the_place_of_the_maps_districts(capsys, tmp_path, built_roads, map_file):
+    west, south, east, north = RoadFolder(built_roads).manifest().box_deg
+    middle = 0.5 * (west + east)
+    areas = tmp_path / "zones.csv"
+    areas.write_text(
+        f'name,wkt\nA,"POLYGON(({west} {south},{middle} {south},{middle} {north},{west} {north},{west} {south}))"\n'
+    )
+    status, out, _ = call(capsys, "roads", "build", map_file, tmp_path / "out", "--districts", areas)
+    assert (status, "1 districts, of " in out) == (0, True)
+    built = Districts.read(RoadFolder(tmp_path / "out").districts)
+    points = np.array([[0.5 * (west + middle), 0.5 * (south + north)], [0.5 * (middle + east), 0.5 * (south + north)]])
+    assert (built.names, built.within(points).tolist()) == (("A",), [0, -1])

@@ -59,6 +59,8 @@ def test_a_trip_that_ended_has_its_record(driven):
     rows = trip_rows(driven)
     assert [(row.ended, row.due_ns, row.assessed_ns is not None) for row in rows] == [(True, None, True)] * 2
     assert driven.scored == [row.id for row in rows]
+    assert {event.body["cause"] for event in driven.told} == {"trip"}
+    assert all(event.body["scores"]["payd"]["score"] > 0.0 for event in driven.told)
     for row in rows:
         record = record_of(driven, row.id)
         # Left sums at whole seconds beside an integral at every sample: a second at the ends, and what speed bends.

@@ -13,6 +13,7 @@ from service.engine.shard import EngineConfig
 from service.engine.worker import Engine
 from service.ingest.journal_rows import insert_rows
 from service.observability import Metrics
+from service.rating.scoring import Reading
 from service.roads.protocol import NullMatcher
 from service.storage.database import read, write
 from service.storage.tables import trip_records, trips
@@ -31,14 +32,15 @@ class Driver:
         self.database = database
         self.directory = VehicleDirectory(database, open_registration=True)
         self.ref = self.directory.register("default", "car", config).ref
-        self.scored = []
+        self.told = []
         self.worker = TripWorker(
             database,
             self.directory,
             matcher or NullMatcher(),
             Metrics(),
             policy=TripPolicy(rest_per_work=0.0),
-            on_scored=lambda _ref, trip_id: self.scored.append(trip_id),
+            reading=Reading(),
+            tell=lambda _ref, event: self.told.append(event),
         )
         self._sent = 0
 
@@ -64,6 +66,11 @@ class Driver:
         with read(self.database) as connection:
             newest_ns = max([0, *(one for one in connection.scalars(select(trips.c.due_ns)) if one is not None)])
         return self.worker.turn(newest_ns + round(seconds_later * S))
+
+    @property
+    def scored(self):
+        """The trips that changed scores, as it was told."""
+        return [event.body["trip_id"] for event in self.told]
 
     def stored(self):
         """The records as they are stored, to the bit."""

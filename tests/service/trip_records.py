@@ -9,9 +9,10 @@ from sqlalchemy import insert
 from core.driving.exposure import WEEKDAYS, Driven, Exposure, Facet
 from core.scoring.record import BeliefSums, Evidence, Record, SpeedingSums
 from schemas.vehicles import VehicleConfig
-from service.storage import records, tenants, vehicles
+from service.local_days import day_of
+from service.storage import cell_sums, record_sums, records, tenants, vehicles
 from service.storage.records import TripRecord
-from service.storage.tables import trips
+from service.storage.tables import trip_records, trips
 
 DAY_NS = 86_400_000_000_000
 
@@ -60,3 +61,25 @@ def put(connection, row: TripRecord, zone="UTC"):
     """Store a trip with its record."""
     a_trip(connection, row.vehicle_pk, row.trip_id, row.start_ns)
     records.put(connection, row, zone=zone)
+
+
+def put_all(connection, rows, zone="UTC"):
+    """Store many trips of a vehicle with their records, summed up once."""
+    for row in rows:
+        a_trip(connection, row.vehicle_pk, row.trip_id, row.start_ns)
+    values = [
+        {
+            "trip_id": row.trip_id,
+            "vehicle_pk": row.vehicle_pk,
+            "start_ns": row.start_ns,
+            "day": day_of(row.start_ns, zone),
+            "model_sha256": row.model_sha256,
+            "assessed_ns": row.assessed_ns,
+            "record": record_sums.told_of(row.record),
+            "cells": cell_sums.packed(row.record.cells),
+            "timeline": row.timeline,
+        }
+        for row in rows
+    ]
+    connection.execute(insert(trip_records), values)
+    records.rebuild(connection, rows[0].vehicle_pk, zone=zone)

@@ -1,0 +1,105 @@
+"""A vehicle's scores: its records over a period through the tenant's model."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Any, Final
+
+from sqlalchemy import Connection
+
+from core.scoring.model import ScoreModel
+from core.scoring.places import Places
+from core.scoring.premium import Tariff
+from core.scoring.products import score
+from core.scoring.record import Record
+from core.scoring.score import Product, Score
+from service.local_days import DEFAULT_ZONE
+from service.rating.parts import Holding, Part, holding
+from service.rating.period import Asked, Period, period_of
+from service.risk.loading import RiskBasis, risk_basis
+from service.storage import rating, records
+from service.storage.vehicles import VehicleRef
+
+_MOST_READ: Final = 256
+"""Texts that are kept as they were read: four parts of some tens of tenants."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scored:
+    """Scores of one period, and the record that they are of."""
+
+    period: Period
+    record: Record
+    scores: dict[Product, Score]
+
+
+class Reading:
+    """What tenants rate by, read once a version."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._read: dict[tuple[str, Part, int], tuple[Holding, Any]] = {}
+
+    def of(self, connection: Connection, tenant_id: str, part: Part) -> tuple[Holding, Any]:
+        """The version of a part that holds for a tenant now, and what it says."""
+        key = (tenant_id, part, rating.newest_version(connection, tenant_id, part))
+        with self._lock:
+            if key in self._read:
+                return self._read[key]
+        held = holding(connection, tenant_id, part)
+        assert held is not None
+        read = held, held.read()
+        with self._lock:
+            if len(self._read) >= _MOST_READ:
+                self._read.clear()
+            self._read[key] = read
+        return read
+
+    def risk(self, connection: Connection, tenant_id: str) -> RiskBasis:
+        """What the tenant's trips are assessed by."""
+        held, tables = self.of(connection, tenant_id, Part.RISK_TABLES)
+        return risk_basis(held.text, tables)
+
+    def model(self, connection: Connection, tenant_id: str) -> ScoreModel:
+        """The tenant's score model."""
+        _, model = self.of(connection, tenant_id, Part.SCORE_MODEL)
+        assert isinstance(model, ScoreModel)
+        return model
+
+    def tariff(self, connection: Connection, tenant_id: str) -> Tariff:
+        """The tenant's tariff."""
+        _, tariff = self.of(connection, tenant_id, Part.TARIFF)
+        assert isinstance(tariff, Tariff)
+        return tariff
+
+    def places(self, connection: Connection, tenant_id: str) -> Places | None:
+        """The tenant's risk of places; None where there is none."""
+        _, places = self.of(connection, tenant_id, Part.PLACES)
+        assert places is None or isinstance(places, Places)
+        return places
+
+
+def zone_of(ref: VehicleRef) -> str:
+    """The time zone by which a vehicle's days begin."""
+    return ref.config.time_zone or DEFAULT_ZONE
+
+
+def scored(
+    connection: Connection,
+    reading: Reading,
+    ref: VehicleRef,
+    products: tuple[Product, ...],
+    asked: Asked,
+    now_ns: int,
+) -> Scored:
+    """A vehicle's scores; raises InvalidParameterError for a period that is none."""
+    zone = zone_of(ref)
+    period = period_of(asked, zone, records.bounds_ns(connection, ref.pk), now_ns)
+    with_cells = Product.PWYD in products
+    record = records.of_period(connection, ref.pk, period.from_ns, period.to_ns, zone=zone, cells=with_cells)
+    model = reading.model(connection, ref.tenant_id)
+    places = reading.places(connection, ref.tenant_id) if with_cells else None
+    # A period in which nothing was driven has a length all the same.
+    days = period.days or (period.to_ns - period.from_ns) / 86_400e9
+    return Scored(period, record, {product: score(product, record, days, model, places) for product in products})

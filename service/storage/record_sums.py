@@ -1,0 +1,90 @@
+"""Records as they are stored: sums by flat names, so that a query over years adds up a hundred in one loop.
+
+Cells are apart (``cell_sums``). Names are such as ``trips``, ``by/road_class/mm/primary``, ``belief/fused/3``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from typing import Any, Final
+
+from core.driving.exposure import Driven, Exposure, Facet
+from core.risk.belief import N_SETS
+from core.scoring.record import BeliefSums, Evidence, Record, SpeedingSums, heaviest
+
+_COUNTS: Final = ("manoeuvres", "excused", "coverage", "accidents")
+_SPEEDING: Final = tuple(one.name for one in fields(SpeedingSums) if one.name != "max_excess_mmps")
+
+Told = dict[str, Any]
+"""``sums``, which add up name by name; ``max_excess_mmps``, of which the greatest counts; and ``evidence``."""
+
+
+def told_of(record: Record) -> Told:
+    """A record but for its cells."""
+    sums = {
+        "trips": record.trips,
+        "days": record.days,
+        "coasting_ms": record.coasting_ms,
+        "total/mm": record.exposure.total.distance_mm,
+        "total/ms": record.exposure.total.time_ms,
+    }
+    for facet, labels in record.exposure.by.items():
+        for label, driven in labels.items():
+            sums[f"by/{facet.value}/mm/{label}"], sums[f"by/{facet.value}/ms/{label}"] = driven
+    for name in _COUNTS:
+        sums |= {f"{name}/{key}": count for key, count in getattr(record, name).items()}
+    sums |= {f"speeding/{name}": getattr(record.speeding, name) for name in _SPEEDING}
+    for entity, belief in record.belief.items():
+        sums |= {f"belief/{entity}/{bits}": mass for bits, mass in enumerate(belief.mass)}
+        sums[f"belief/{entity}/n"] = belief.instants
+    evidence = {about: [list(one) for one in pieces] for about, pieces in record.evidence.items()}
+    return {"sums": sums, "max_excess_mmps": record.speeding.max_excess_mmps, "evidence": evidence}
+
+
+def record_of(told: Mapping[str, Any], cells: Mapping[str, Driven] | None = None) -> Record:
+    """The record of what was told, with its cells."""
+    sums: Mapping[str, int] = told["sums"]
+    by: dict[Facet, dict[str, Driven]] = {}
+    counts: dict[str, dict[str, int]] = {name: {} for name in _COUNTS}
+    masses: dict[str, list[int]] = {}
+    for path, value in sums.items():
+        head, _, rest = path.partition("/")
+        if head == "by":
+            facet, unit, label = rest.split("/", 2)
+            if unit == "mm":
+                by.setdefault(Facet(facet), {})[label] = Driven(value, sums[f"by/{facet}/ms/{label}"])
+        elif head in counts:
+            counts[head][rest] = value
+        elif head == "belief":
+            entity, _, bits = rest.rpartition("/")
+            if bits != "n":
+                masses.setdefault(entity, [0] * N_SETS)[int(bits)] = value
+    pieces = told["evidence"].items()
+    speeding = {name: sums[f"speeding/{name}"] for name in _SPEEDING}
+    return Record(
+        trips=sums["trips"],
+        days=sums["days"],
+        exposure=Exposure(Driven(sums["total/mm"], sums["total/ms"]), by),
+        cells=dict(cells or {}),
+        coasting_ms=sums["coasting_ms"],
+        speeding=SpeedingSums(**speeding, max_excess_mmps=told["max_excess_mmps"]),
+        belief={name: BeliefSums(sums[f"belief/{name}/n"], tuple(mass)) for name, mass in masses.items()},
+        evidence={about: tuple(Evidence(*one) for one in found) for about, found in pieces},
+        **counts,
+    )
+
+
+def added(parts: Iterable[Mapping[str, Any]]) -> Told:
+    """What would be told of the sum of records, without making them."""
+    sums = told_of(Record())["sums"]
+    pieces: dict[str, list[list[Any]]] = {}
+    max_excess_mmps = 0
+    for one in parts:
+        for path, value in one["sums"].items():
+            sums[path] = sums.get(path, 0) + value
+        for about, found in one["evidence"].items():
+            pieces.setdefault(about, []).extend(found)
+        max_excess_mmps = max(max_excess_mmps, one["max_excess_mmps"])
+    evidence = {about: [list(one) for one in heaviest(map(Evidence._make, found))] for about, found in pieces.items()}
+    return {"sums": sums, "max_excess_mmps": max_excess_mmps, "evidence": evidence}

@@ -1,10 +1,10 @@
-"""Days, months and years by a vehicle's own clock, as spans of time."""
+"""Days by a vehicle's own clock, and what they are summed by, as spans of time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
+from enum import StrEnum
 from typing import Final
 from zoneinfo import ZoneInfo
 
@@ -32,62 +32,64 @@ def begin_ns(day: date, zone: str = DEFAULT_ZONE) -> int:
     return int(midnight.timestamp()) * 1_000_000_000
 
 
-def month_of(day: date) -> date:
-    """The first day of its month."""
-    return day.replace(day=1)
+class Period(StrEnum):
+    """By what days are summed, the longest first; a third of a month is from its 1st, 11th or 21st on."""
+
+    YEAR = "year"
+    MONTH = "month"
+    THIRD = "third"
+    DAY = "day"
+
+    def begin_of(self, day: date) -> date:
+        """The first day of the period in which a day lies."""
+        if self is Period.YEAR:
+            return date(day.year, 1, 1)
+        if self is Period.MONTH:
+            return day.replace(day=1)
+        return day.replace(day=1 + 10 * min((day.day - 1) // 10, 2)) if self is Period.THIRD else day
+
+    def next_of(self, day: date) -> date:
+        """The first day of the period after."""
+        if self is Period.YEAR:
+            return date(day.year + 1, 1, 1)
+        if self is Period.THIRD and day.day <= 20:
+            return self.begin_of(day) + 10 * _DAY
+        return day + _DAY if self is Period.DAY else (day.replace(day=1) + 32 * _DAY).replace(day=1)
 
 
-def year_of(day: date) -> date:
-    """The first day of its year."""
-    return day.replace(month=1, day=1)
-
-
-def next_month(day: date) -> date:
-    """The first day of the month after."""
-    return (day.replace(day=1) + 32 * _DAY).replace(day=1)
-
-
-def next_year(day: date) -> date:
-    """The first day of the year after."""
-    return date(day.year + 1, 1, 1)
+Span = tuple[date, date]
+"""Days from one up to another."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cover:
-    """A span of time as whole years, months and days and what is left at its ends; each from one up to the other."""
+    """A span of time as whole periods, each as long as can be, and what is left at its ends."""
 
-    years: tuple[tuple[date, date], ...]
-    months: tuple[tuple[date, date], ...]
-    days: tuple[tuple[date, date], ...]
+    periods: tuple[tuple[Period, Span], ...]
     edges_ns: tuple[tuple[int, int], ...]
 
 
 def cover(from_ns: int, to_ns: int, zone: str = DEFAULT_ZONE) -> Cover:
     """What makes up the time from one instant up to another."""
     if from_ns >= to_ns:
-        return Cover((), (), (), ())
+        return Cover((), ())
     first, last = day_of(from_ns, zone), day_of(to_ns, zone)
     if begin_ns(first, zone) < from_ns:
         first += _DAY
     if first >= last:
-        return Cover((), (), (), ((from_ns, to_ns),))
-    years, outside_years = _whole(first, last, year_of, next_year)
-    months: list[tuple[date, date]] = []
-    days: list[tuple[date, date]] = []
-    for begin, end in outside_years:
-        inside, outside = _whole(begin, end, month_of, next_month)
-        months += inside
-        days += outside
+        return Cover((), ((from_ns, to_ns),))
+    periods: list[tuple[Period, Span]] = []
+    left: list[Span] = [(first, last)]
+    for period in Period:
+        outside: list[Span] = []
+        for span in left:
+            begin = span[0] if period.begin_of(span[0]) == span[0] else period.next_of(span[0])
+            end = period.begin_of(span[1])
+            if begin < end:
+                periods.append((period, (begin, end)))
+                outside += [(span[0], begin), (end, span[1])]
+            else:
+                outside.append(span)
+        left = [span for span in outside if span[0] < span[1]]
     edges = ((from_ns, begin_ns(first, zone)), (begin_ns(last, zone), to_ns))
-    return Cover(tuple(years), tuple(months), tuple(days), tuple(edge for edge in edges if edge[0] < edge[1]))
-
-
-def _whole(
-    first: date, last: date, begin_of: Callable[[date], date], next_of: Callable[[date], date]
-) -> tuple[list[tuple[date, date]], list[tuple[date, date]]]:
-    """What of the days from first up to last makes whole periods, and what is before and after those."""
-    begin = first if begin_of(first) == first else next_of(first)
-    end = begin_of(last)
-    if begin >= end:
-        return [], [(first, last)]
-    return [(begin, end)], [span for span in ((first, begin), (end, last)) if span[0] < span[1]]
+    return Cover(tuple(periods), tuple(edge for edge in edges if edge[0] < edge[1]))

@@ -12,8 +12,8 @@ from sqlalchemy import Connection, select
 
 from core.scoring.places import Places, places_from
 from service.cells import cells
+from service.local_days import Period
 from service.storage import cell_sums
-from service.storage.records import Period
 from service.storage.tables import accidents, record_rollups, vehicles
 
 COUNTED: Final = ("suspected", "confirmed")

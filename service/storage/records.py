@@ -1,4 +1,4 @@
-"""Records of trips and their sums by day, month and year, so that a year costs no more to ask for than a month."""
+"""Records of trips and their sums by ``Period``, so that a year costs no more to ask for than a month."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
-from enum import StrEnum
+from itertools import pairwise
 from typing import Any
 
 from sqlalchemy import (
@@ -25,7 +25,7 @@ from sqlalchemy import (
 )
 
 from core.scoring.record import Record
-from service.local_days import DEFAULT_ZONE, cover, day_of, month_of, next_month, next_year, year_of
+from service.local_days import DEFAULT_ZONE, Period, cover, day_of
 from service.storage import cell_sums, record_sums
 from service.storage.statements import insert_into
 from service.storage.tables import record_rollups, trip_records
@@ -36,14 +36,6 @@ _ROLLUPS_LOCK = 0x5C0E
 
 _Row = Any
 """A row with a record and, where asked for, cells."""
-
-
-class Period(StrEnum):
-    """By what records are summed."""
-
-    DAY = "day"
-    MONTH = "month"
-    YEAR = "year"
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,13 +113,12 @@ def of_period(
 ) -> Record:
     """The sum of the records of a vehicle's trips that began from one instant up to another.
 
-    Whole years, months and days of ``zone``, the vehicle's, come from their sums. Without ``cells`` there are none.
+    Whole days and longer periods of ``zone``, the vehicle's, come from their sums. Without ``cells`` there are none.
     """
     parts = cover(from_ns, to_ns, zone)
     wanted = [
         and_(record_rollups.c.period == period, record_rollups.c.begin >= begin, record_rollups.c.begin < end)
-        for period, spans in ((Period.YEAR, parts.years), (Period.MONTH, parts.months), (Period.DAY, parts.days))
-        for begin, end in spans
+        for period, (begin, end) in parts.periods
     ]
     edges = parts.edges_ns
     rows: Sequence[_Row] = []
@@ -198,12 +189,9 @@ def _sum_up(connection: Connection, vehicle_pk: int, days: set[date], zone: str)
     for row in connection.execute(chosen.where(table.c.vehicle_pk == vehicle_pk, table.c.day.in_(days))):
         by_day[row.day].append(row)
     _keep(connection, vehicle_pk, Period.DAY, {day: by_day[day] for day in days}, zone)
-    for period, below, begin_of, next_of in (
-        (Period.MONTH, Period.DAY, month_of, next_month),
-        (Period.YEAR, Period.MONTH, year_of, next_year),
-    ):
-        begins = {begin_of(day) for day in days}
-        parts = {begin: _parts(connection, vehicle_pk, below, begin, next_of(begin)) for begin in begins}
+    for below, period in pairwise(reversed(Period)):
+        begins = {period.begin_of(day) for day in days}
+        parts = {begin: _parts(connection, vehicle_pk, below, begin, period.next_of(begin)) for begin in begins}
         _keep(connection, vehicle_pk, period, parts, zone)
 
 
@@ -246,7 +234,8 @@ def _told(period: Period, made_of: Sequence[_Row]) -> dict[str, Any]:
     told = record_sums.added(one.record for one in made_of)
     if period is Period.DAY:
         told["sums"]["days"] = 1
-    return told
+    # In an order of their own, as the same sums are to be the same bytes whichever rows came first.
+    return {**told, "sums": dict(sorted(told["sums"].items())), "evidence": dict(sorted(told["evidence"].items()))}
 
 
 def _columns(table: Table, key: str, cells: bool) -> list[Column[Any]]:

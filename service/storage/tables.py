@@ -280,8 +280,8 @@ record_rollups = Table(
     Column("record", JSON, nullable=False),
     Column("cells", LargeBinary, nullable=False),
 )
-"""Sums of records: of a day over its trips, of a month over its days, of a year over its months; ``zone`` is the one
-by which days are told apart."""
+"""Sums of records by ``service.local_days.Period``: of a day over its trips, of each longer one over those below it;
+``zone`` is the one by which days are told apart."""
 
 accidents = Table(
     "accidents",

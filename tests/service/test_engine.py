@@ -36,6 +36,7 @@ from service.storage.tables import (
     deliveries,
     events,
     evidence,
+    manoeuvres,
     older_checkpoints,
     track_points,
     trips,
@@ -177,12 +178,12 @@ class Bench:
                 table.name: [
                     tuple(row)
                     for row in connection.execute(
-                        select(*(c for c in table.c if c.name not in ("stored_ns", "cursor"))).order_by(
+                        select(*(c for c in table.c if c.name not in ("stored_ns", "due_ns", "cursor"))).order_by(
                             *table.primary_key
                         )
                     )
                 ]
-                for table in (track_points, trips, accidents, accident_candidates)
+                for table in (track_points, trips, accidents, accident_candidates, manoeuvres)
             } | {"events": sorted(map(tuple, connection.execute(select(events.c.id, events.c.type, events.c.t_ns))))}
 
 

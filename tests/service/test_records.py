@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.scoring.record import Record, total
-from service.local_days import begin_ns, cover, day_of
+from service.local_days import Period, begin_ns, cover, day_of
 from service.storage import records
 from service.storage.database import read, write
 from service.storage.tables import trip_records
@@ -115,8 +115,7 @@ def test_a_cover_is_whole_and_nowhere_double(zone, from_ns, length_ns):
     to_ns = from_ns + length_ns
     parts = cover(from_ns, to_ns, zone)
     spans = list(parts.edges_ns)
-    dates = (*parts.years, *parts.months, *parts.days)
-    spans += [(begin_ns(first, zone), begin_ns(last, zone)) for first, last in dates]
+    spans += [(begin_ns(first, zone), begin_ns(last, zone)) for _, (first, last) in parts.periods]
     spans.sort()
     assert [span for span in spans if span[0] >= span[1]] == []
     if not length_ns:
@@ -125,9 +124,20 @@ def test_a_cover_is_whole_and_nowhere_double(zone, from_ns, length_ns):
     assert spans[0][0] == from_ns
     assert spans[-1][1] == to_ns
     assert all(one[1] == following[0] for one, following in pairwise(spans))
-    assert all(day.day == 1 for dates in parts.months for day in dates)
-    assert all((day.month, day.day) == (1, 1) for dates in parts.years for day in dates)
-    assert sum((end - begin).days for begin, end in parts.days) < 2 * 31 + 1
+    for period, dates in parts.periods:
+        assert all(period.begin_of(day) == day for day in dates)
+    # No more than a few of each but the longest: days of two thirds, thirds of two months, months of two years.
+    for period, most in ((Period.DAY, 2 * 10), (Period.THIRD, 2 * 2), (Period.MONTH, 2 * 11)):
+        counts = [len(list(periods_of(period, dates))) for one, dates in parts.periods if one is period]
+        assert sum(counts) <= most
+
+
+def periods_of(period, dates):
+    begin, end = dates
+    while begin < end:
+        yield begin
+        begin = period.next_of(begin)
+    assert begin == end
 
 
 @given(st.sampled_from((*ZONES, "Pacific/Apia", "Africa/Cairo", "Asia/Beirut")), st.integers(0, 2**61))

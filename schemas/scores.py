@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pydantic import Field
 
 from schemas.model import Model, VehicleId
@@ -83,6 +85,19 @@ class ProductScores(Model):
 
     vehicle_id: VehicleId
     scores: dict[str, ProductScore]
+
+
+class DrivenRecord(Model):
+    """What a vehicle drove in a period, as scores take it."""
+
+    vehicle_id: VehicleId
+    period: ScorePeriod
+    days: float = Field(description="The period's length, to which distance is related.")
+    record: dict[str, Any] = Field(
+        description="Trips, days driven on; distance in mm and time in ms in all, by hour, light, weekday, month, road "
+        "class and district, and by H3 cell; manoeuvres that count and that are excused; speeding; masses and coverage "
+        "in units of 1e-9, summed over instants; accidents; evidence. What is nothing is left out."
+    )
 
 
 class QuoteStep(Model):

@@ -17,7 +17,7 @@ from service.api.dependencies import Database
 from service.api.pagination import Page, encode_cursor, link_next
 from service.api.security import Principal, require
 from service.errors import InvalidParameterError, NotFoundError, TooLargeError, UnsupportedMediaTypeError
-from service.rating.parts import JSON, KINDS, TOML, Holding, Part, holding
+from service.rating.parts import JSON, KINDS, TOML, Holding, Part, holding, is_json
 from service.rating.places import build_places
 from service.storage import audit, rating, tenants
 from service.storage.database import read, write
@@ -25,7 +25,7 @@ from service.storage.rating import RatingRow
 
 router = APIRouter(tags=["scores"])
 
-_TAKEN: Final = {TOML: (TOML, "text/toml", "text/plain"), JSON: (JSON,)}
+_TAKEN: Final = {TOML: (TOML, "text/toml", "text/plain", JSON), JSON: (JSON,)}
 MOST_BYTES: Final = 4 * 2**20
 """The risk of 100 000 cells; a choice."""
 
@@ -35,7 +35,7 @@ _TEXT: Final = {"content": {TOML: {"schema": {"type": "string"}}, JSON: {"schema
 PUT_RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
     412: {"model": Problem, "description": "Changed meanwhile"},
     413: {"model": Problem, "description": "Larger than is taken"},
-    415: {"model": Problem, "description": "Not TOML, or of places not JSON"},
+    415: {"model": Problem, "description": "Not TOML or JSON"},
 }
 
 
@@ -66,7 +66,10 @@ def get_rating(
         raise NotFoundError(f"there is no version {version} of {part}; GET /v1/rating/{part}/versions lists them")
     headers = {"X-Rating-Version": str(held.version)}
     return answer_content(
-        request, held.text.encode(), media_type=f"{KINDS[part].media_type}; charset=utf-8", headers=headers
+        request,
+        held.text.encode(),
+        media_type=f"{JSON if is_json(held.text) else TOML}; charset=utf-8",
+        headers=headers,
     )
 
 

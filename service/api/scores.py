@@ -9,13 +9,13 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 
 from core.scoring.premium import quote
 from core.scoring.score import Product
-from schemas.scores import PremiumQuote, ProductScore, ProductScores
+from schemas.scores import DrivenRecord, PremiumQuote, ProductScore, ProductScores
 from service.api.conditional import answer
 from service.api.dependencies import Database, VehiclePath, the_vehicle
 from service.api.security import Principal, require
 from service.rating.period import Asked
-from service.rating.scoring import Reading, Scored, scored
-from service.rating.telling import quoted, shown
+from service.rating.scoring import Reading, Scored, recorded, scored
+from service.rating.telling import quoted, shown, told_record
 from service.storage.database import read
 
 router = APIRouter(tags=["scores"])
@@ -88,6 +88,22 @@ def get_score(
     """
     found = _scored(vehicle_id, caller, engine, rates, period, (product,))
     return answer(request, shown(vehicle_id, found, product, places=caller.may("positions:read")))
+
+
+@router.get("/vehicles/{vehicle_id}/record", response_model=DrivenRecord)
+def get_record(
+    request: Request, vehicle_id: VehiclePath, caller: Reader, engine: Database, period: PeriodAsked
+) -> Response:
+    """What scores are made from: all that was driven in a period, in whole numbers.
+
+    `telefuse scores score` makes the same scores of it, by any model; `scores fit` learns a portfolio's usual values
+    from many. Cells are there only for keys with positions:read.
+    """
+    cells = caller.may("positions:read")
+    with read(engine) as connection:
+        ref = the_vehicle(connection, caller.tenant_id, vehicle_id).ref
+        found, record = recorded(connection, ref, period, time.time_ns(), cells=cells)
+    return answer(request, told_record(vehicle_id, found, record, cells=cells))
 
 
 @router.get("/vehicles/{vehicle_id}/quote", response_model=PremiumQuote)

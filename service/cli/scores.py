@@ -10,12 +10,14 @@ from typing import Any
 
 from core.scoring.explaining import explain
 from core.scoring.fitting import fitted
+from core.scoring.model import score_model_of
 from core.scoring.premium import quote
 from core.scoring.products import score
 from core.scoring.score import Product
 from service.bench import fairness
 from service.cli.progress import Phases
 from service.errors import UsageError
+from service.risk.districts import district_relativities
 from service.scoring import loading
 
 
@@ -38,6 +40,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     fit.add_argument("--model", type=Path, metavar="FILE", help="the model to begin with (default: the shipped one)")
     fit.set_defaults(part_run=_fit)
+    districts = parts.add_parser("districts", help="put relativities of districts into a model, from a CSV of rates")
+    districts.add_argument(
+        "file", type=Path, metavar="RATES.csv", help="columns district, rate and, if there, exposure"
+    )
+    districts.add_argument(
+        "--model", type=Path, metavar="FILE", help="the model to begin with (default: the shipped one)"
+    )
+    districts.set_defaults(part_run=_districts)
     fair = parts.add_parser("fairness", help="scores by age and sex over a simulated portfolio with known claim rates")
     fair.add_argument(
         "--drivers", type=int, default=fairness.DRIVERS, metavar="N", help="how many (default %(default)s)"
@@ -115,6 +125,16 @@ def _tariff(arguments: argparse.Namespace) -> int:
 def _fit(arguments: argparse.Namespace) -> int:
     document = loading.model_document(arguments.model)
     print(json.dumps(fitted(document, loading.portfolio(arguments.portfolio)), indent=2, allow_nan=False))
+    return 0
+
+
+def _districts(arguments: argparse.Namespace) -> int:
+    document = loading.model_document(arguments.model)
+    pwyd = document["pwyd"]
+    labels = district_relativities(arguments.file)
+    document |= {"pwyd": pwyd | {"district": pwyd["district"] | {"labels": labels}}}
+    score_model_of(document)
+    print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
     return 0
 
 

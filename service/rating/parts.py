@@ -42,12 +42,17 @@ class Kind:
     read: Callable[[str], Any]
 
 
+def is_json(text: str) -> bool:
+    """Whether a text is meant as JSON: ``telefuse scores fit`` prints a model so, and no TOML begins like it."""
+    return text.lstrip().startswith(("{", "null"))
+
+
 def _toml(read: Callable[[Mapping[str, Any]], Any], like: str) -> Callable[[str], Any]:
     def of(text: str) -> Any:
         try:
-            document = tomllib.loads(text)
+            document = json.loads(text) if is_json(text) else tomllib.loads(text)
         except ValueError as error:
-            raise InvalidInputError(f"is no TOML: {error}; expected what 'telefuse {like}' prints") from error
+            raise InvalidInputError(f"is no TOML or JSON: {error}; expected what 'telefuse {like}' prints") from error
         return read(document)
 
     return of

@@ -8,8 +8,8 @@ from datetime import date, timedelta
 from typing import Final
 
 from schemas.times import parse_time
-from service import local_days
 from service.errors import InvalidParameterError
+from service.local_days import Period as Calendar
 from service.local_days import begin_ns, day_of
 
 DAY_NS: Final = 86_400_000_000_000
@@ -32,6 +32,11 @@ class Period:
     def days(self) -> float:
         """Observed, in days; 0 where nothing was."""
         return 0.0 if self.observed_ns is None else (self.observed_ns[1] - self.observed_ns[0]) / DAY_NS
+
+    @property
+    def length_days(self) -> float:
+        """What distance is related to: as observed; the whole where nothing was, as that has a length all the same."""
+        return self.days or (self.to_ns - self.from_ns) / DAY_NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +70,7 @@ def _ends(asked: Asked, zone: str, last_ns: int) -> tuple[int, int]:
         if asked.from_ is not None or asked.to is not None or asked.days is not None:
             raise InvalidParameterError("query.month: is a period by itself; expected no from, to or days beside it")
         begin = _month(asked.month)
-        return begin_ns(begin, zone), begin_ns(local_days.Period.MONTH.next_of(begin), zone)
+        return begin_ns(begin, zone), begin_ns(Calendar.MONTH.next_of(begin), zone)
     to_ns = begin_ns(day_of(last_ns, zone) + _ONE, zone) if asked.to is None else _instant("to", asked.to, zone)
     if asked.from_ is not None:
         if asked.days is not None:

@@ -85,6 +85,15 @@ def zone_of(ref: VehicleRef) -> str:
     return ref.config.time_zone or DEFAULT_ZONE
 
 
+def recorded(
+    connection: Connection, ref: VehicleRef, asked: Asked, now_ns: int, *, cells: bool
+) -> tuple[Period, Record]:
+    """What a vehicle drove in a period; raises InvalidParameterError for one that is none."""
+    zone = zone_of(ref)
+    period = period_of(asked, zone, records.bounds_ns(connection, ref.pk), now_ns)
+    return period, records.of_period(connection, ref.pk, period.from_ns, period.to_ns, zone=zone, cells=cells)
+
+
 def scored(
     connection: Connection,
     reading: Reading,
@@ -94,12 +103,9 @@ def scored(
     now_ns: int,
 ) -> Scored:
     """A vehicle's scores; raises InvalidParameterError for a period that is none."""
-    zone = zone_of(ref)
-    period = period_of(asked, zone, records.bounds_ns(connection, ref.pk), now_ns)
     with_cells = Product.PWYD in products
-    record = records.of_period(connection, ref.pk, period.from_ns, period.to_ns, zone=zone, cells=with_cells)
+    period, record = recorded(connection, ref, asked, now_ns, cells=with_cells)
     model = reading.model(connection, ref.tenant_id)
     places = reading.places(connection, ref.tenant_id) if with_cells else None
-    # A period in which nothing was driven has a length all the same.
-    days = period.days or (period.to_ns - period.from_ns) / 86_400e9
-    return Scored(period, record, {product: score(product, record, days, model, places) for product in products})
+    found = {product: score(product, record, period.length_days, model, places) for product in products}
+    return Scored(period, record, found)

@@ -11,8 +11,10 @@ import numpy as np
 from core.risk.belief import named
 from core.scoring.explaining import sentence
 from core.scoring.premium import Quote
+from core.scoring.record import Record
 from core.scoring.score import Contribution, Product, Score
 from schemas.scores import (
+    DrivenRecord,
     EvidencePiece,
     ModelUsed,
     PremiumQuote,
@@ -70,6 +72,13 @@ def quoted(vehicle_id: str, scored: Scored, premium: Quote) -> PremiumQuote:
         period=_period(scored.period),
         scores=scores,
         model=_model(scored.scores[Product.PWYD]),
+    )
+
+
+def told_record(vehicle_id: str, period: Period, record: Record, *, cells: bool) -> DrivenRecord:
+    """A record of a period."""
+    return DrivenRecord(
+        vehicle_id=vehicle_id, period=_period(period), days=period.length_days, record=record.to_json(cells=cells)
     )
 
 

@@ -20,10 +20,7 @@ def district_table(path: Path, source: str) -> str:
     A rate is relative to the mean over the districts: weighed by exposure where there is such a column. Raises
     UsageError that names the bad line.
     """
-    rates, weights = _read(path)
-    mean = math.fsum(rate * weights[name] for name, rate in rates.items()) / math.fsum(weights.values())
-    if not mean > 0.0:
-        raise UsageError(f"{path}: the mean rate is 0; expected a district with a rate above 0")
+    rates, mean = _read(path)
     lines = [
         'extends = "default"',
         f'name = "districts of {path.name}"',
@@ -41,7 +38,16 @@ def district_table(path: Path, source: str) -> str:
     return "\n".join(lines)
 
 
-def _read(path: Path) -> tuple[dict[str, float], dict[str, float]]:
+def district_relativities(path: Path) -> dict[str, float]:
+    """Each district's rate over the mean, for the score model; raises UsageError that names the bad line."""
+    rates, mean = _read(path)
+    if nothing := [name for name, rate in rates.items() if not rate > 0.0]:
+        raise UsageError(f"{path}: {nothing[0]} has a rate of 0; expected more, as no place is without risk")
+    return {name: rate / mean for name, rate in rates.items()}
+
+
+def _read(path: Path) -> tuple[dict[str, float], float]:
+    """Rates by district, and their mean by exposure."""
     try:
         text = path.read_text("utf-8-sig")
     except OSError as error:
@@ -64,7 +70,10 @@ def _read(path: Path) -> tuple[dict[str, float], dict[str, float]]:
         weights[name] = _number(where, "exposure", row["exposure"]) if "exposure" in columns else 1.0
     if not rates or not math.fsum(weights.values()) > 0.0:
         raise UsageError(f"{path}: no district with an exposure; {_EXPECTED}")
-    return rates, weights
+    mean = math.fsum(rate * weights[name] for name, rate in rates.items()) / math.fsum(weights.values())
+    if not mean > 0.0:
+        raise UsageError(f"{path}: the mean rate is 0; expected a district with a rate above 0")
+    return rates, mean
 
 
 def _number(where: str, column: str, text: str | None) -> float:

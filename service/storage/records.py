@@ -234,7 +234,8 @@ def _told(period: Period, made_of: Sequence[_Row]) -> dict[str, Any]:
     told = record_sums.added(one.record for one in made_of)
     if period is Period.DAY:
         told["sums"]["days"] = 1
-    return told
+    # In an order of their own, as the same sums are to be the same bytes whichever rows came first.
+    return {**told, "sums": dict(sorted(told["sums"].items())), "evidence": dict(sorted(told["evidence"].items()))}
 
 
 def _columns(table: Table, key: str, cells: bool) -> list[Column[Any]]:

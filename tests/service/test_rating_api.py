@@ -91,7 +91,7 @@ def test_another_tenant_has_its_own(service, admin, tenant):
         ("a = ", TOML, 422, "is no TOML"),
         ("", TOML, 422, "no table"),
         (b"\xff", TOML, 422, "is no UTF-8"),
-        ("{}", {"content-type": "application/json"}, 415, "expected application/toml"),
+        ("<a/>", {"content-type": "application/xml"}, 415, "expected application/toml"),
         ("#" * 5_000_000, TOML, 413, "larger than"),
         (OWN, TOML | {"if-match": '"old"'}, 412, "changed meanwhile"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -13,6 +14,7 @@ from core.driving.exposure import Driven, Exposure, Facet
 from core.scoring.places import places_from
 from core.scoring.products import scores
 from core.scoring.record import BeliefSums, Evidence, Record, SpeedingSums, total
+from service.cli import main
 from service.scoring.loading import shipped_model
 from service.storage import vehicles
 from service.storage.database import write
@@ -48,7 +50,7 @@ def a_record(trip_id, *, braking=0, km=20):
     return Record(
         trips=1,
         exposure=Exposure(driven, by),
-        cells={CELLS[0]: Driven(driven.distance_mm // 2, driven.time_ms // 2), CELLS[1]: driven},
+        cells=dict.fromkeys(CELLS, Driven(driven.distance_mm // 2, driven.time_ms // 2)),
         manoeuvres={"braking": braking} if braking else {},
         speeding=SpeedingSums(known_ms=km * 90_000, certain_ms=km * 90_000),
         belief={
@@ -242,3 +244,33 @@ def test_who_never_drove_pays_the_base(service, tenant, insurer):
     assert told["premium"] == "600.00"
     assert "nothing was driven" in next(one["text"] for one in told["steps"] if one["name"] == "phyd")
     assert insurer.get("/v1/vehicles/new/quote", params={"premium_days": 0}).status_code == 422
+
+
+def test_the_record_of_a_period_makes_the_same_scores_offline(service, tenant, insurer, driven, tmp_path, capsys):
+    asked = {"from": "2026-02-01", "to": "2026-03-05"}
+    with service.client(tenant, "admin") as admin:
+        told = admin.get("/v1/vehicles/v1/record", params=asked).json()
+    path = tmp_path / "record.json"
+    path.write_text(json.dumps(told["record"]))
+    assert main(["scores", "score", str(path), "--days", str(told["days"])]) == 0
+    offline = json.loads(capsys.readouterr().out)["scores"]
+    online = insurer.get("/v1/vehicles/v1/scores", params=asked).json()["scores"]
+    assert {name: one["score"] for name, one in offline.items()} == {name: one["score"] for name, one in online.items()}
+    assert set(told["record"]["cells"]) == set(CELLS)
+    blind = insurer.get("/v1/vehicles/v1/record", params=asked).json()["record"]
+    assert blind | {"cells": told["record"]["cells"]} == told["record"]
+
+
+def test_a_model_with_ones_own_districts_is_taken(service, tenant, insurer, driven, tmp_path, capsys):
+    rates = tmp_path / "rates.csv"
+    rates.write_text("district,rate,exposure\nKallio,3,1\nelsewhere,1,3\n")
+    assert main(["scores", "districts", str(rates)]) == 0
+    model = capsys.readouterr().out
+    with service.client(tenant, "admin") as admin:
+        put = admin.put("/v1/rating/score-model", content=model, headers={"content-type": "application/json"})
+        assert put.status_code == 200, put.text
+        assert admin.get("/v1/rating/score-model").headers["content-type"].startswith("application/json")
+    told = insurer.get("/v1/vehicles/v1/scores/pwyd").json()
+    kallio = next(one for one in told["contributions"] if one["name"] == "district:Kallio")
+    assert kallio["points"] < -1.0
+    assert told["coverage"]["district"] == 1.0

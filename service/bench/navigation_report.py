@@ -54,12 +54,14 @@ def _real(found: Mapping[str, Any]) -> Iterable[str]:
 
 def _consistency(found: Mapping[str, Any]) -> Iterable[str]:
     yield f"errors against what is stated: {found['scenario']}, {found['drives']} seeds:"
-    rows = [("NEES of", "mean", "expected", "95 % band", "")]
-    for name, one in found["nees"].items():
-        low, high = one["band"]
-        verdict = "inside" if one["inside"] else "outside"
-        rows.append((name, _m(one["mean"]), _m(one["expected"]), f"{low:.2f} to {high:.2f}", verdict))
-    yield from aligned(rows)
+    tables = {"nees": "NEES, usual settings", "nees_stated": "NEES, as stated", "nis_stated": "NIS, as stated"}
+    for settings, text in tables.items():
+        rows = [(text, "mean", "expected", "95 % band", "")]
+        for name, one in found[settings].items():
+            low, high = one["band"]
+            verdict = "inside" if one["inside"] else "outside"
+            rows.append((name, _m(one["mean"]), _m(one["expected"]), f"{low:.2f} to {high:.2f}", verdict))
+        yield from aligned(rows)
     rows = [("within 3 sd", *next(iter(found["within_3_sd"].values())))]
     for where, shares in found["within_3_sd"].items():
         rows.append((where.replace("_", " "), *(f"{100 * share:.2f} %" for share in shares.values())))

@@ -78,10 +78,12 @@ def test_without_a_wheel_speed_that_aiding_is_left_out():
 
 def test_nees_has_the_band_of_its_samples_and_shares_are_shares():
     found = consistency.measure(untold, **ONE)
-    assert list(found["nees"]) == ["position", "velocity", "attitude"]
-    for one in found["nees"].values():
+    for settings in ("nees", "nees_stated"):
+        assert list(found[settings]) == ["position", "velocity", "attitude"]
+    assert list(found["nis_stated"]) == ["GNSS position", "GNSS height", "GNSS velocity"]
+    for one in (*found["nees"].values(), *found["nees_stated"].values(), *found["nis_stated"].values()):
         low, high = one["band"]
-        assert 0.0 < low < 3.0 < high
+        assert 0.0 < low < one["expected"] < high
         assert one["mean"] > 0.0
         assert one["inside"] is (low < one["mean"] < high)
     # Five instants from 70 s on but those in the outage and soon after it; a single drive's attitude counts once.

@@ -361,6 +361,14 @@ def test_spreads_come_from_the_receiver_then_from_dilution_then_from_the_default
     assert spread_after() == pytest.approx(t.gnss_sd_h_m, rel=1e-4)
 
 
+def test_the_air_adds_to_what_the_geometry_of_the_sky_does_to_heights():
+    case = Case.of(POS + 2, 0.0, 1e3, tuning=Tuning())
+    case.position(case.fix(hdop=1.2, vdop=2.0, sd_h_m=math.nan, sd_v_m=math.nan))
+    t = Tuning()
+    expected_m = 2.0 * t.gnss_uere_m * t.gnss_height_factor
+    assert math.sqrt(case.p[(POS + 2) * (state.N_STATES + 1)]) == pytest.approx(expected_m, rel=1e-4)
+
+
 # What is refused
 
 

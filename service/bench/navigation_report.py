@@ -43,7 +43,8 @@ def _real(found: Mapping[str, Any]) -> Iterable[str]:
     for name, drive in found.items():
         if (one := drive.get("outage")) is not None:
             span = f"{one['start_s']:g}:{one['duration_s']:g}"
-            rows += [(name, span, method, "RMS", _m(one[method]["rms_m"]), "") for method in _methods(one)]
+            after = f"{one['fixes_after']} fixes after it"
+            rows += [(name, span, method, "RMS", _m(one[method]["rms_m"]), after) for method in _methods(one)]
         if (sweep := drive.get("sweep")) is not None:
             span = f"{sweep['duration_s']:g} s every {sweep['every_s']:g} s"
             for method in _methods(sweep):

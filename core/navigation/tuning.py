@@ -239,7 +239,11 @@ class Tuning(Tunables):
         1.0, unit="m/s", low=0, high=30, source="choice: a creep is slower, and what rolls faster is not so quiet"
     )
     still_longest_patience_s: float = tunable(
-        4.0, unit="s", low=0, high=1e4, source="choice: traffic lights last longer; 2 s do alike in simulated outages"
+        4.0,
+        unit="s",
+        low=0,
+        high=1e4,
+        source="choice: creeps last 2-3 s, traffic lights longer; 2 s do alike in simulated outages",
     )
     still_max_speed_mps: float = tunable(
         0.5, unit="m/s", low=0.1, high=10, source="a smooth road at speed is no standstill"

@@ -73,14 +73,15 @@ class Tuning(Tunables):
         low=1,
         high=5,
         source="vertical against horizontal by the sky's geometry where no VDOP says it; and beside it by the air's "
-        "delay, which all satellites share: by the likelihood of its heights kth_stockholm has 1.2",
+        "delay, which all satellites share: by the likelihood of its heights kth_stockholm has 1.0-1.3",
     )
     gnss_correlation_s: float = tunable(
         60.0,
         unit="s",
         low=1,
         high=3600,
-        source="multipath 10 s, ionosphere 600 s; of 30, 60, 120 the likeliest by kth_stockholm and boston_vn100",
+        source="multipath 10 s, ionosphere 600 s; of 30, 60 and 120 the likeliest of kth_stockholm and boston_vn100 at "
+        "their likeliest UERE, 1.0 m",
     )
     gnss_white_share: float = tunable(
         0.8, unit="1", low=0, high=4, source="choice: before fixes tell; most of a stated variance is new each time"

@@ -66,7 +66,7 @@ def usable_fixes(fixes: FloatArray, par: FloatArray) -> BoolArray:
 
 @njit(cache=True, nogil=True)
 def position_sd_m(fix: FloatArray, par: FloatArray) -> tuple[float, float]:
-    """Horizontal (per axis) and vertical sd of a fix: stated, else by HDOP, else the default."""
+    """Horizontal (per axis) and vertical sd of a fix: stated, else by HDOP and VDOP, else the default."""
     if fix[_SD_H] > 0.0:
         horizontal = fix[_SD_H]
     elif fix[_HDOP] > 0.0:
@@ -77,7 +77,7 @@ def position_sd_m(fix: FloatArray, par: FloatArray) -> tuple[float, float]:
     if fix[_SD_V] > 0.0:
         vertical = max(fix[_SD_V], par[_P_FLOOR])
     elif fix[_VDOP] > 0.0:
-        vertical = max(fix[_VDOP] * par[_P_UERE], par[_P_FLOOR])
+        vertical = max(fix[_VDOP] * par[_P_UERE] * par[_P_HEIGHT], par[_P_FLOOR])
     else:
         vertical = par[_P_HEIGHT] * horizontal
     return horizontal, vertical

@@ -406,7 +406,8 @@ def fuse_velocity(
     decorrelate(n, ph, ph2, share)
     update_pair(p, n, ph, 1.0 / snn, nu_n, ph2, 1.0 / (see - share * sne), nu_e - share * nu_n, dx)
     if math.isfinite(nu_d):
-        s = project_six(p, n, at_d, row_d, ph) + rr
+        sd_h, sd_v = position_sd_m(fix, par)  # the sky's geometry is that of the positions
+        s = project_six(p, n, at_d, row_d, ph) + rr * (sd_v / sd_h) ** 2
         innovation = nu_d - along_six(at_d, row_d, dx)
         ratio = innovation * innovation / (par[_P_GATE] * s)
         outcome = FUSED if ratio <= 1.0 else REJECTED_GATE

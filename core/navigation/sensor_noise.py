@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 from core.navigation.tuning import Tuning
 from core.sensors import ALLAN_FLOOR, TriadNoise
@@ -65,6 +66,18 @@ class NoiseAllowance(Tunables):
     instability_s: float = tunable(
         60.0, unit="s", low=1, high=1e4, source="choice: the longest outage that the walk is to be right for"
     )
+
+
+NOTHING_ADDED: Final = NoiseAllowance(
+    stated_factor=1.0,
+    gyro_noise_radps_rts=0.0,
+    accel_noise_mps2_rts=0.0,
+    gyro_bias_walk_radps2_rts=0.0,
+    accel_bias_walk_mps3_rts=0.0,
+    gyro_bias_sd_radps=0.0,
+    accel_bias_sd_mps2=0.0,
+)
+"""For sensors that are in the car what was stated of them, as simulated ones can be."""
 
 
 def matched_tuning(

@@ -41,6 +41,7 @@ _STILL_MEAN = PARAMETER["still_mean_accel_mps2"]
 _STILL_RATE = PARAMETER["still_mean_gyro_radps"]
 _STILL_PATIENCE = PARAMETER["still_patience_s"]
 _STILL_LEAVING = PARAMETER["still_leaving"]
+_GATE_VELOCITY = PARAMETER["gate_velocity"]
 _STILL_ROLLING = PARAMETER["still_rolling_mps"]
 _STILL_LONGEST = PARAMETER["still_longest_patience_s"]
 _ZUPT = PARAMETER["zupt_sd_mps"]
@@ -162,10 +163,13 @@ def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) ->
         return
     if ti[T_QUIET] == 0:
         ti[T_QUIET] = ti[T_NOW]
-    patience_s = par[_STILL_PATIENCE] * _moving_ratio(x, p, par)
-    # As quiet as this vehicle is when it stands, and supposed to move faster than any creep: then the filter is wrong.
+    ratio = _moving_ratio(x, p, par)
+    patience_s = par[_STILL_PATIENCE] * ratio
+    # As quiet as this vehicle is when it stands, and by the filter either no wonder if it did, or faster than any creep
+    # is: then the filter is wrong.
     rolling_sq = x[X_V] ** 2 + x[X_V + 1] ** 2
-    if rolling_sq > par[_STILL_ROLLING] ** 2 and _as_when_standing(x, par, spread_f, spread_w):
+    wrong = ratio <= par[_GATE_VELOCITY] or rolling_sq > par[_STILL_ROLLING] ** 2
+    if wrong and _as_when_standing(x, par, spread_f, spread_w):
         patience_s = min(patience_s, par[_STILL_LONGEST])
     if (ti[T_NOW] - ti[T_QUIET]) * 1e-9 < patience_s:
         return

@@ -57,16 +57,31 @@ class Tuning(Tunables):
     mount_angle_walk_rad_rts: float = tunable(1.0e-5, unit="rad/sqrt(s)", low=0, high=1e-2, source=_CHOICE)
 
     gnss_sd_h_m: float = tunable(
-        3.0, unit="m", low=0.01, high=100, source="u-blox 7 single frequency, without stated accuracy"
+        2.1, unit="m", low=0.01, high=100, source="u-blox 7 data sheet: CEP 2.5 m, that is 2.1 m an axis"
     )
     gnss_uere_m: float = tunable(
-        2.0, unit="m", low=0.1, high=30, source="per axis and unit of HDOP; Groves 2013 table 9.4, single frequency"
+        1.5,
+        unit="m",
+        low=0.1,
+        high=30,
+        source="per axis and unit of HDOP; u-blox 7 data sheet: CEP 2.5 m, 2.1 m an axis, at a HDOP of 1.4; by the "
+        "likelihood of their innovations kth_stockholm and boston_vn100 have 1.0",
     )
     gnss_height_factor: float = tunable(
-        1.5, unit="1", low=1, high=5, source="vertical against horizontal, geometry of the sky"
+        1.5,
+        unit="1",
+        low=1,
+        high=5,
+        source="vertical against horizontal by the sky's geometry where no VDOP says it; and beside it by the air's "
+        "delay, which all satellites share: by the likelihood of its heights kth_stockholm has 1.0-1.3",
     )
     gnss_correlation_s: float = tunable(
-        60.0, unit="s", low=1, high=3600, source="multipath 10 s, ionosphere 600 s; " + _CHOICE
+        60.0,
+        unit="s",
+        low=1,
+        high=3600,
+        source="multipath 10 s, ionosphere 600 s; of 30, 60 and 120 the likeliest of kth_stockholm and boston_vn100 at "
+        "their likeliest UERE, 1.0 m",
     )
     gnss_white_share: float = tunable(
         0.8, unit="1", low=0, high=4, source="choice: before fixes tell; most of a stated variance is new each time"
@@ -81,7 +96,11 @@ class Tuning(Tunables):
         0.02, unit="1", low=1e-3, high=1, source="code noise of a smoothed fix is at least a seventh of its error"
     )
     gnss_delay_sd_s: float = tunable(
-        0.02, unit="s", low=0, high=1, source="time stamps by the host instead of the receiver's pulse: some 0.02 s"
+        0.1,
+        unit="s",
+        low=0,
+        high=1,
+        source="time stamps by the host: NMEA lines come 0.1-0.5 s late; boston_vn100 0.54 s",
     )
     gnss_delay_given_sd_s: float = tunable(
         0.01, unit="s", low=0, high=1, source="choice: an offset that was measured and is set"
@@ -221,7 +240,11 @@ class Tuning(Tunables):
         1.0, unit="m/s", low=0, high=30, source="choice: a creep is slower, and what rolls faster is not so quiet"
     )
     still_longest_patience_s: float = tunable(
-        4.0, unit="s", low=0, high=1e4, source="choice: traffic lights last longer; 2 s do alike in simulated outages"
+        4.0,
+        unit="s",
+        low=0,
+        high=1e4,
+        source="choice: creeps last 2-3 s, traffic lights longer; 2 s do alike in simulated outages",
     )
     still_max_speed_mps: float = tunable(
         0.5, unit="m/s", low=0.1, high=10, source="a smooth road at speed is no standstill"

@@ -29,6 +29,12 @@ class Receiver(Tunables):
     vertical_ratio: float = tunable(1.8, unit="1", low=0.5, high=5.0, source="VDOP over HDOP under open sky")
     velocity_sd_mps: float = tunable(0.07, unit="m/s", low=0.0, high=2.0, source=_UBLOX7)
     stated_sd_m: float = tunable(1.5, unit="m", low=0.1, high=50.0, source="choice: what the receiver claims, open sky")
+    stated_velocity_factor: float = tunable(
+        1.3, unit="1", low=0.1, high=10.0, source="choice: receivers are a little pessimistic of their velocity"
+    )
+    stated_velocity_floor_mps: float = tunable(
+        0.02, unit="m/s", low=0.0, high=1.0, source="choice: added to that; none claims to be better"
+    )
     multipath_sd_m: float = tunable(5.0, unit="m", low=0.0, high=100.0, source="choice: street canyons 3-10 m")
     multipath_s: float = tunable(9.0, unit="s", low=0.5, high=1e3, source="choice: about a house front at city speed")
     multipath_velocity_sd_mps: float = tunable(0.25, unit="m/s", low=0.0, high=5.0, source="choice")
@@ -93,8 +99,8 @@ def measure_gnss(
     stated = np.hypot(receiver.stated_sd_m, depth * receiver.multipath_sd_m / 2)
     rows[:, GNSS["sd_h_m"]] = np.round(stated, 2)
     rows[:, GNSS["sd_v_m"]] = np.round(stated * receiver.vertical_ratio, 2)
-    # Of velocity it is a little pessimistic, and never claims better than 0.02 m/s.
-    rows[:, GNSS["sd_v_mps"]] = np.round(1.3 * velocity_sd + 0.02, 3)
+    stated_velocity = receiver.stated_velocity_factor * velocity_sd + receiver.stated_velocity_floor_mps
+    rows[:, GNSS["sd_v_mps"]] = np.round(stated_velocity, 3)
     rows[:, GNSS["hdop"]] = np.round(hdop, 2)
     rows[:, GNSS["vdop"]] = np.round(hdop * receiver.vertical_ratio, 2)
     rows[:, GNSS["satellites"]] = satellites

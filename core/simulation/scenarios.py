@@ -49,6 +49,8 @@ MADRID: Final = Place(math.radians(40.4105), math.radians(-3.7140), 640.0, (25.6
 
 WHITE_GNSS: Final = Receiver(drift_sd_m=0.0, white_sd_m=1.5, velocity_sd_mps=0.1, stated_sd_m=1.5)
 """Errors without memory, 1.5 m an axis: those of the measured facts that a filter is compared by."""
+EXACT_GNSS: Final = replace(WHITE_GNSS, stated_velocity_factor=1.0, stated_velocity_floor_mps=0.0)
+"""The same, and stated as they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +91,7 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             roads.smooth_outages,
             600.0,
             device=EXACT_MEMS,
-            receiver=WHITE_GNSS,
+            receiver=EXACT_GNSS,
             suspension=RIGID,
         ),
         "uncalibrated_outages": Scenario(

@@ -1,8 +1,13 @@
-"""Whether errors are as large as the filter says: NEES with its 95 % band, and instants within 3 sd."""
+"""Whether errors are as large as the filter says: NEES and NIS with their 95 % bands, and instants within 3 sd.
+
+Once by the settings that all boxes get, which leave room for what real receivers, sensors and cars do beyond what
+is stated of them; and once by what is true of the simulated drive and stated of it, and nothing more.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -12,10 +17,13 @@ from scipy.stats import chi2
 from core.earth import ned_offset_m
 from core.measurements import FloatArray
 from core.navigation import state
+from core.navigation.records import AidRecords
+from core.navigation.sensor_noise import NOTHING_ADDED, matched_tuning
 from core.navigation.track import Mode
 from core.rotation import matrix_from_quaternion, matrix_from_rpy, wrap_angle_rad
-from core.session import Session
+from core.session import Session, SessionConfig
 from core.simulation.scenarios import simulate
+from core.simulation.sensors import EXACT_MEMS, Device
 from service.bench.simulated_outages import EXACT, SEEDS, Tell, outages_of
 from service.recordings.drive_folder import Drive
 from service.recordings.fusing import fuse, fuse_config, vehicle_config
@@ -30,27 +38,65 @@ APART_S: Final = 40.0
 LEVEL: Final = 0.95
 GROUPS: Final = {"position": state.POS, "velocity": state.VEL, "attitude": state.ATT}
 AXES: Final = ("north", "east", "down")
+INNOVATIONS: Final = {
+    "GNSS position": state.A_POSITION,
+    "GNSS height": state.A_HEIGHT,
+    "GNSS velocity": state.A_VELOCITY,
+}
+
+TRUE_OF_IT: Final = {
+    # Fixes: all of their error is new each time, and they are in time.
+    "gnss_white_share": 1.0,
+    "gnss_share_margin": 1.0,
+    "gnss_learn_fixes": 1e4,
+    "gnss_delay_sd_s": 0.0,
+    # Sensors: no error of scale.
+    "gyro_scale_sd": 0.0,
+    # The car: rigid, goes where its wheels point, stands still, as far as the steps of a simulation say.
+    "nhc_sd_mps": 0.01,
+    "nhc_lever_m": 0.0,
+    "heave_radps": 50.0,
+    "squat_rad_per_mps2": 0.0,
+    "squat_sd_rad_per_mps2": 0.0,
+    "zupt_sd_mps": 0.001,
+    "zaru_sd_radps": 1e-3,
+    # The box: as it is said to sit. The wheel speed: of one scale, in steps of 0.01 m/s.
+    "mount_angle_sd_rad": 1e-5,
+    "mount_angle_walk_rad_rts": 0.0,
+    "speed_scale_sd": EXACT_MEMS.wheel_scale_sd,
+    "speed_scale_walk_rts": 0.0,
+    "speed_sd_mps": 0.01,
+}
+"""What a filter has to be told of ``EXACT`` beside its sensors' noise and its fixes' sd, which the drive states."""
 
 
 def measure(tell: Tell, seeds: Sequence[int] = SEEDS, duration_s: float | None = None) -> dict[str, Any]:
-    """Mean NEES of three errors of three axes each (3 is expected), and shares within 3 sd, in and out of outages."""
-    normalised, inside, outside = [], [], []
+    """Mean NEES of three errors of three axes each (3 is expected), mean NIS an axis (1 is), by both settings.
+
+    And by those of all boxes the shares of instants within 3 sd, in and out of outages.
+    """
+    nees: dict[str, list[FloatArray]] = {"usual": [], "stated": []}
+    innovations: list[AidRecords] = []
+    inside, outside = [], []
     for done, seed in enumerate(seeds):
         tell(done, len(seeds))
-        drive = drive_of(simulate(EXACT, seed, duration_s))
-        normalised.append(_nees(drive))
+        simulated = simulate(EXACT, seed, duration_s)
+        drive = drive_of(simulated)
+        usual = fuse_config(vehicle_config(drive))
+        stated = _as_stated(usual, simulated.device)
+        nees["usual"].append(_nees(drive, usual))
+        nees["stated"].append(_nees(drive, stated))
+        innovations.append(_settled(drive, stated))
         within, in_outage = _within_three_sd(drive)
         inside.append(within[in_outage])
         outside.append(within[~in_outage])
-    nees = np.array(normalised)
     shares = {"in_outages": np.concatenate(inside), "outside": np.concatenate(outside)}
     return {
         "scenario": EXACT,
         "drives": len(seeds),
-        "nees": {
-            name: _judged(nees[:, :, i], len(seeds) if name == "attitude" else nees[:, :, i].size)
-            for i, name in enumerate(GROUPS)
-        },
+        "nees": _nees_judged(np.array(nees["usual"])),
+        "nees_stated": _nees_judged(np.array(nees["stated"])),
+        "nis_stated": {name: _nis_judged(innovations, aid) for name, aid in INNOVATIONS.items()},
         "within_3_sd": {
             where: dict(zip((*AXES, "yaw"), map(float, rows.mean(axis=0)), strict=True))
             for where, rows in shares.items()
@@ -58,19 +104,56 @@ def measure(tell: Tell, seeds: Sequence[int] = SEEDS, duration_s: float | None =
     }
 
 
-def _judged(nees: FloatArray, independent: int) -> dict[str, Any]:
-    """A mean against its band; an attitude's error outlives the instants, so that only drives are independent."""
-    low, high = chi2.ppf([(1 - LEVEL) / 2, (1 + LEVEL) / 2], 3 * independent) / independent
-    mean = float(nees.mean())
-    return {"mean": mean, "expected": 3.0, "band": [float(low), float(high)], "inside": bool(low < mean < high)}
+def _as_stated(usual: SessionConfig, device: Device) -> SessionConfig:
+    tuning = replace(usual.filter.tuning, **TRUE_OF_IT)
+    tuning = matched_tuning(tuning, device.accelerometer.noise, device.gyroscope.noise, NOTHING_ADDED)
+    return replace(usual, filter=replace(usual.filter, tuning=tuning))
 
 
-def _nees(drive: Drive) -> FloatArray:
+def _nees_judged(nees: FloatArray) -> dict[str, Any]:
+    """Of (drives, instants, groups); an attitude's error outlives the instants, so that only drives are independent."""
+    return {
+        name: _judged(nees[:, :, i], 3, len(nees) if name == "attitude" else nees[:, :, i].size)
+        for i, name in enumerate(GROUPS)
+    }
+
+
+def _settled(drive: Drive, config: SessionConfig) -> AidRecords:
+    """The records of a drive's aids from the first instant of NEES on."""
+    records = fuse(drive, config, keep=True).records
+    if records is None:
+        raise ValueError("records were asked for")
+    late = drive.t_s(records.t_ns) > SETTLED_S + APART_S
+    return AidRecords(records.t_ns[late], records.values[late])
+
+
+def _nis_judged(innovations: Sequence[AidRecords], aid: int) -> dict[str, Any]:
+    ratios = []
+    for records in innovations:
+        own = records.column("aid") == aid
+        ratios.append(records.column("innovation")[own] ** 2 / records.column("variance")[own])
+    nis = np.concatenate(ratios)
+    return _judged(nis, 1, nis.size)
+
+
+def _judged(squares: FloatArray, dimensions: int, independent: int) -> dict[str, Any]:
+    """The mean of normalised squares against its band."""
+    low, high = chi2.ppf([(1 - LEVEL) / 2, (1 + LEVEL) / 2], dimensions * independent) / independent
+    mean = float(squares.mean())
+    return {
+        "mean": mean,
+        "expected": float(dimensions),
+        "band": [float(low), float(high)],
+        "inside": bool(low < mean < high),
+    }
+
+
+def _nees(drive: Drive, config: SessionConfig) -> FloatArray:
     """Of position, velocity and attitude at instants outside the outages, (instants, 3)."""
     m, reference = drive.measurements, drive.reference
     if reference is None:
         raise ValueError("a simulated drive has a reference")
-    session = Session(fuse_config(vehicle_config(drive)))
+    session = Session(config)
     end_s = float(drive.t_s(m.imu_t_ns[-1:])[0])
     before_ns = np.iinfo(np.int64).min
     found = []

@@ -51,7 +51,11 @@ def measure(folder: Path, tell: Tell) -> dict[str, Any]:
     for method in METHODS:
         for name, outage in NAMED.items():
             tell(done, total)
-            found[name].setdefault("outage", {"start_s": outage.start_s, "duration_s": outage.duration_s})
+            fixes_after = int(np.sum(drives[name].t_s(drives[name].measurements.gnss_t_ns) >= outage.end_s))
+            found[name].setdefault(
+                "outage",
+                {"start_s": outage.start_s, "duration_s": outage.duration_s, "fixes_after": fixes_after},
+            )
             found[name]["outage"][method] = _in_outage(drives[name], outage, method, whole)
             done += 1
         for name, outages in sweeps.items():

@@ -23,8 +23,10 @@ def verdicts(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     rows = [("figure", "measured", "at most", "")]
     for one in found:
         verdict = "met" if one["met"] else "missed"
+        if (floor := one.get("floor")) is not None:
+            verdict += f"; {_value(floor, one['unit'])} with no fix withheld"
         rows.append((one["text"], _value(one["value"], one["unit"]), _value(one["at_most"], one["unit"]), verdict))
-    yield from aligned(rows)
+    yield from aligned(rows, left=(0, 3))
 
 
 def _value(value: float | None, unit: str) -> str:

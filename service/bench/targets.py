@@ -6,16 +6,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from service.bench.recorded_outages import NOT_WITHHELD
+
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A figure, by its path among the figures, and what it may be at most: a number, or a share of another figure."""
+    """A figure, by its path among the figures, and what it may be at most: a number, or a share of another figure.
+
+    ``floor`` is the path of what it is with nothing withheld: how far what it is compared with is off by itself.
+    """
 
     text: str
     figure: str
     at_most: float | str
     unit: str = "m"
     share: float = 1.0
+    floor: str | None = None
 
 
 def _synthetic(aiding: str, instant: str) -> str:
@@ -43,7 +49,13 @@ TARGETS: Final = (
     Target("boston_vn100, 30 s every 45 s, median end", "real/boston_vn100/sweep/causal/median_end_m", 15.0),
     Target("comma2k19_segment, 30 s from 20 s, RMS", "real/comma2k19_segment/outage/causal/rms_m", 3.0),
     *(
-        Target(f"{text}, smoothed", f"real/{place}/smoothed/{key}", f"real/{place}/causal/{key}", share=1 / 3)
+        Target(
+            f"{text}, smoothed",
+            f"real/{place}/smoothed/{key}",
+            f"real/{place}/causal/{key}",
+            share=1 / 3,
+            floor=f"real/{place}/{NOT_WITHHELD}/{key}",
+        )
         for text, place, key in (
             ("kth_stockholm, 99 s from 200 s, RMS", "kth_stockholm/outage", "rms_m"),
             ("kth_stockholm, 30 s every 45 s, median end", "kth_stockholm/sweep", "median_end_m"),
@@ -67,7 +79,10 @@ def judged(found: Mapping[str, Any], targets: Sequence[Target] = TARGETS) -> lis
         limit = _figure(found, target.at_most) if isinstance(target.at_most, str) else float(target.at_most)
         limit = None if limit is None else target.share * limit
         met = value is not None and limit is not None and value <= limit
-        rows.append({"text": target.text, "value": value, "at_most": limit, "unit": target.unit, "met": met})
+        row = {"text": target.text, "value": value, "at_most": limit, "unit": target.unit, "met": met}
+        if target.floor is not None:
+            row["floor"] = _figure(found, target.floor)
+        rows.append(row)
     return rows
 
 

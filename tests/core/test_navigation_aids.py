@@ -361,6 +361,14 @@ def test_spreads_come_from_the_receiver_then_from_dilution_then_from_the_default
     assert spread_after() == pytest.approx(t.gnss_sd_h_m, rel=1e-4)
 
 
+def test_the_air_adds_to_what_the_geometry_of_the_sky_does_to_heights():
+    case = Case.of(POS + 2, 0.0, 1e3, tuning=Tuning())
+    case.position(case.fix(hdop=1.2, vdop=2.0, sd_h_m=math.nan, sd_v_m=math.nan))
+    t = Tuning()
+    expected_m = 2.0 * t.gnss_uere_m * t.gnss_height_factor
+    assert math.sqrt(case.p[(POS + 2) * (state.N_STATES + 1)]) == pytest.approx(expected_m, rel=1e-4)
+
+
 # What is refused
 
 
@@ -497,6 +505,22 @@ def test_a_quiet_second_is_a_standstill_only_where_the_filter_may_be_wrong_of_it
         case.p[(VEL + i) * (state.N_STATES + 1)] = speed_sd_mps**2
     C, gravity_n = matrix_from_quaternion(case.x[:4]), case.x[state.X_G : state.X_G + 3]
     for _ in range(100):  # ten seconds of blocks
+        case.ti[state.T_NOW] += kernel.BLOCK_NS
+        case.ti[state.I_BLOCK] = 10
+        case.x[state.X_BLOCK : state.X_BLOCK + 6] = 10 * np.concatenate([-C.T @ gravity_n, GYRO_BIAS_B])
+        close_block(case.x, case.ti, case.p, case.par)
+    assert bool(case.ti[state.I_STATIONARY]) is stands
+
+
+@pytest.mark.parametrize(("speed_sd_mps", "stands"), [(0.05, False), (0.15, True)])
+def test_a_long_quiet_is_a_standstill_where_the_filter_would_not_wonder(speed_sd_mps, stands):
+    # 0.35 m/s are 7 and 2.3 sd: the second is patient for 10 s by its odds alone, longer than any creep.
+    case = Case.of(VEL, 0.0, 0.0, v_vehicle=(0.35, 0.0, 0.0), tuning=Tuning())
+    for i in range(3):
+        case.p[(VEL + i) * (state.N_STATES + 1)] = speed_sd_mps**2
+    case.x[state.X_STILL_F], case.x[state.X_STILL_W] = 0.015, 1e-3
+    C, gravity_n = matrix_from_quaternion(case.x[:4]), case.x[state.X_G : state.X_G + 3]
+    for _ in range(round((1.0 + Tuning().still_longest_patience_s) * 10) + 1):
         case.ti[state.T_NOW] += kernel.BLOCK_NS
         case.ti[state.I_BLOCK] = 10
         case.x[state.X_BLOCK : state.X_BLOCK + 6] = 10 * np.concatenate([-C.T @ gravity_n, GYRO_BIAS_B])

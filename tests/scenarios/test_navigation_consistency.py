@@ -78,7 +78,9 @@ def measured_as_modelled(seed):
     gnss[:, GNSS["lat_rad"]] = lat + north / (meridian + alt)
     gnss[:, GNSS["lon_rad"]] = lon + east / ((transverse + alt) * np.cos(lat))
     gnss[:, GNSS["alt_m"]] = alt + rng.normal(0.0, SD_V_M, len(rows))
-    gnss[:, GNSS["vn_mps"] : GNSS["vn_mps"] + 3] = truth.v_n[rows] + rng.normal(0.0, SD_V_MPS, (len(rows), 3))
+    # As its positions, a receiver's velocities are worse upwards, by the same geometry.
+    sd_v_n = np.array([SD_V_MPS, SD_V_MPS, SD_V_MPS * SD_V_M / SD_H_M])
+    gnss[:, GNSS["vn_mps"] : GNSS["vn_mps"] + 3] = truth.v_n[rows] + sd_v_n * rng.standard_normal((len(rows), 3))
     for name, value in {
         "sd_h_m": SD_H_M,
         "sd_v_m": SD_V_M,

@@ -136,7 +136,7 @@ def late_by(late_s):
 @pytest.mark.parametrize("scenario", ["city", "exact_outages"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_receivers_delay_is_found(scenario, seed):
-    delayed = Driven(scenario, seed, 300.0, change=late_by(0.2), gnss_delay_sd_s=0.2)
+    delayed = Driven(scenario, seed, 300.0, change=late_by(0.2))
     delay_s, sd_s = delayed.estimate(state.X_GNSS_DELAY, state.GNSS_DELAY)
     assert sd_s < 0.02
     assert abs(delay_s - 0.2) < 3.0 * sd_s

@@ -78,10 +78,12 @@ def test_without_a_wheel_speed_that_aiding_is_left_out():
 
 def test_nees_has_the_band_of_its_samples_and_shares_are_shares():
     found = consistency.measure(untold, **ONE)
-    assert list(found["nees"]) == ["position", "velocity", "attitude"]
-    for one in found["nees"].values():
+    for settings in ("nees", "nees_stated"):
+        assert list(found[settings]) == ["position", "velocity", "attitude"]
+    assert list(found["nis_stated"]) == ["GNSS position", "GNSS height", "GNSS velocity"]
+    for one in (*found["nees"].values(), *found["nees_stated"].values(), *found["nis_stated"].values()):
         low, high = one["band"]
-        assert 0.0 < low < 3.0 < high
+        assert 0.0 < low < one["expected"] < high
         assert one["mean"] > 0.0
         assert one["inside"] is (low < one["mean"] < high)
     # Five instants from 70 s on but those in the outage and soon after it; a single drive's attitude counts once.
@@ -127,8 +129,22 @@ def test_recorded_drives_are_measured_in_each_outage_by_each_method(monkeypatch)
     for name, outage in recorded_outages.NAMED.items():
         assert found[name]["outage"]["start_s"] == outage.start_s
         assert found[name]["outage"]["causal"]["rms_m"] > 0.0
-    assert "median end" in tables({"real": found})
-    assert len(judged({"real": found})) == 8  # four figures, each causal and smoothed
+    # One outage lasts until the drive ends: there is nothing after it that a smoother could use.
+    assert found["kth_stockholm"]["outage"]["fixes_after"] == 0 < found["comma2k19_segment"]["outage"]["fixes_after"]
+    asked = judged({"real": found})
+    assert len(asked) == 8  # four figures, each causal and smoothed
+    assert [one["floor"] for one in asked[4:]] == [
+        *(
+            found["kth_stockholm"][what]["all fixes"][key]
+            for what, key in (("outage", "rms_m"), ("sweep", "median_end_m"))
+        ),
+        found["boston_vn100"]["sweep"]["all fixes"]["median_end_m"],
+        found["comma2k19_segment"]["outage"]["all fixes"]["rms_m"],
+    ]
+    told = tables({"real": found, "targets": asked})
+    assert "median end" in told
+    assert "0 fixes after it" in told
+    assert "with no fix withheld" in told
 
 
 def test_an_outage_without_a_position_counts_as_the_worst():

@@ -53,6 +53,8 @@ def _toml(read: Callable[[Mapping[str, Any]], Any], like: str) -> Callable[[str]
             document = json.loads(text) if is_json(text) else tomllib.loads(text)
         except ValueError as error:
             raise InvalidInputError(f"is no TOML or JSON: {error}; expected what 'telefuse {like}' prints") from error
+        if not isinstance(document, Mapping):
+            raise InvalidInputError(f"is {text.strip()[:20]!r}; expected what 'telefuse {like}' prints")
         return read(document)
 
     return of

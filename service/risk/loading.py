@@ -58,7 +58,7 @@ def own_tables(path: Path) -> RiskTables:
         return tables_from(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
+    except (ValueError, InvalidInputError) as error:
         raise UsageError(f"{path}: {error}") from None
 
 

@@ -94,6 +94,14 @@ def accident_row(tenant, pk, second, lat_deg=57.7, lon_deg=11.97, severity="seve
     } | changes
 
 
+def manoeuvre_row(tenant, pk, second, **changes):
+    t_ns = T0 + second * NS
+    row = {"id": str(uuid4()), "tenant_id": tenant, "vehicle_pk": pk, "kind": "braking", "stored_ns": t_ns}
+    row |= {"start_ns": t_ns, "peak_ns": t_ns + NS, "end_ns": t_ns + 2 * NS, "peak_mps2": 6.5, "direction": ""}
+    row |= {"aggressive": True, "counted": True, "recovery": False, "lat_deg": 57.7, "lon_deg": 11.97}
+    return row | {"sd_n_m": 0.8, "sd_e_m": 0.7, "cov_ne_m2": 0.01} | changes
+
+
 def candidate_row(tenant, pk, second, lat_deg=57.7, lon_deg=11.97, reason="pothole", **changes):
     t_ns = T0 + second * NS
     return {

@@ -6,21 +6,22 @@ import time
 
 import numpy as np
 import pytest
-from sqlalchemy import insert, select
+from sqlalchemy import insert
 
+from core.driving.exposure import Facet
 from core.driving.manoeuvres import Episode, Manoeuvre
 from schemas.vehicles import VehicleConfig
 from service.roads.matching import RoadService
 from service.settings import Settings
 from service.stable_ids import stable_id
-from service.storage import manoeuvres, tables
-from service.storage.database import write
+from service.storage import manoeuvres, records, tables
+from service.storage.database import read, write
 from service.trips.manoeuvres import store_episode
 from service.trips.timeline import Timeline
 from tests.conftest import run_service
 from tests.documented import conforms
 from tests.road_map import at
-from tests.service.stored_rows import NS, T0, point_row, trip_row
+from tests.service.stored_rows import NS, T0, manoeuvre_row, point_row, trip_row
 from tests.service.trip_harness import Driver
 
 WAIT_S = 60.0
@@ -51,10 +52,7 @@ def driven(pk):
 
 def a_braking(ref):
     t_ns = T0 + 40 * NS
-    row = {"id": stable_id(ref, t_ns, "manoeuvre/braking"), "tenant_id": ref.tenant_id, "vehicle_pk": ref.pk}
-    row |= {"kind": "braking", "start_ns": t_ns, "peak_ns": t_ns + NS, "end_ns": t_ns + 2 * NS, "stored_ns": 1}
-    row |= {"peak_mps2": 6.5, "direction": "", "aggressive": True, "counted": True, "recovery": False}
-    return row | {"lat_deg": 59.5, "lon_deg": 20.01, "sd_n_m": 1.0, "sd_e_m": 1.0, "cov_ne_m2": 0.0}
+    return manoeuvre_row(ref.tenant_id, ref.pk, 40, id=stable_id(ref, t_ns, "manoeuvre/braking"))
 
 
 @pytest.fixture
@@ -127,8 +125,10 @@ def test_the_same_track_on_the_same_roads_gives_the_same_record(built_roads, dat
             assert driver.stored() == first
     (row,) = first
     assert "Hauptweg" not in row[1], "a record knows no streets"
-    assert '"primary"' in row[1]
-    assert '"Westviertel"' in row[1]
+    with read(database) as connection:
+        by = records.find(connection, row[0]).record.exposure.by
+    assert set(by[Facet.ROAD_CLASS]) == {"primary"}
+    assert set(by[Facet.DISTRICT]) == {"Westviertel", "Ostviertel"}
     assert (Timeline.unpacked(row[3]).limit_kmh == 50.0).mean() > 0.9
     assert len(driver.scored) == 1, "told once, as it stayed the same"
 
@@ -143,9 +143,9 @@ def test_a_reviewer_decides_whether_a_manoeuvre_counts(service, admin, tenant, r
 
     def counts():
         assessed(admin, trip)
-        with service.database.connect() as connection:
-            told = connection.scalar(select(tables.trip_records.c.record).where(tables.trip_records.c.trip_id == trip))
-        return told.get("manoeuvres", {}), told.get("excused", {})
+        with read(service.database) as connection:
+            record = records.find(connection, trip).record
+        return record.manoeuvres, record.excused
 
     assert counts() == ({"braking": 1}, {})
     with service.client(tenant, "vehicles:read") as http:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.accident import paper_rule, trigger
+from core.accident.clipping import Whole, unclip
 from core.accident.events import (
     Candidate,
     Findings,
@@ -24,9 +25,10 @@ from core.accident.events import (
     VehicleMotion,
 )
 from core.accident.judgement import Aftermath, Evidence, followed, log_odds, probability, reasons
-from core.accident.level import CLIPPED, SPEED, LevelMotion
+from core.accident.level import CLIPPED, SPEED, UPRIGHT, LevelMotion
 from core.accident.naming import lean, manoeuvre, name
-from core.accident.pulse import Pulse, read_pulse, unclip
+from core.accident.momentum import Momentum, begun, settled, struck
+from core.accident.pulse import Pulse, read_pulse
 from core.accident.severity import classify, force_direction_deg, force_direction_sd_deg, injury_risk
 from core.accident.shocks import read_shock
 from core.accident.thresholds import DetectorThresholds
@@ -50,6 +52,10 @@ FELL_BEFORE_TILT_S: Final = 1.5
 """The same before a box lies on its side: it tumbles on. A choice."""
 
 
+TIPPED_S: Final = 1.5
+"""Within what a vehicle tips from half of ``tilt_deg`` to it, s. A choice: 20 deg/s, slower than any rollover."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Open:
     """The accident that is followed: as it was told last, its log-odds, and when its latest impact ended."""
@@ -57,6 +63,7 @@ class _Open:
     impact: Impact
     odds: float
     last_ns: int
+    momentum: Momentum | None = None
     airbag: bool = False
     power_loss: bool = False
 
@@ -128,6 +135,8 @@ class ImpactDetector:
     def turn(self, C_new_from_old: FloatArray) -> None:
         """Take samples in other body axes from now on."""
         self._level.turn(C_new_from_old)
+        if self._open is not None:
+            self._open = replace(self._open, momentum=None)  # what was forward is not any more
 
     def state(self) -> dict[str, npt.NDArray[np.generic]]:
         """Arrays from which ``load`` goes on, to the bit."""
@@ -163,7 +172,7 @@ class ImpactDetector:
         t_ns, now = level.t_ns, int(level.t_ns[row])
         start = int(np.searchsorted(t_ns, registers[trigger.START]))
         pulse = read_pulse(t_ns, level.x, level.flags, start, evidence_row, limits.trigger, limits.pulse)
-        impact, odds = self._impact(pulse, row)
+        impact, odds, unclipped = self._impact(pulse, row)
         told = self._told_ns == registers[trigger.START]
         needed = limits.judgement.retract if told else limits.judgement.tell if whole else limits.judgement.tell_early
         likely = probability(odds) >= needed
@@ -171,20 +180,31 @@ class ImpactDetector:
         if not whole:
             if likely and not same:
                 self._told_ns = int(registers[trigger.START])
-                self._begin(impact, odds, row, found)
+                self._begin(impact, odds, row, found, self._begun(pulse, row))
             return
         registers[trigger.PULSE], registers[trigger.FLOOR] = 0, now
         if not likely:
             self._dismiss(impact, odds, told, row, found)
         elif told:
-            self._update(replace(impact, t_ns=self._opened.impact.t_ns), odds, row, found)
+            momentum = self._struck(self._opened.momentum, pulse, unclipped, worst=True)
+            self._update(replace(impact, t_ns=self._opened.impact.t_ns), odds, row, found, momentum)
         elif same:
-            self._add(impact, odds, row, found)
+            worse = impact.delta_v_mps > self._opened.impact.delta_v_mps
+            self._add(impact, odds, row, found, self._struck(self._opened.momentum, pulse, unclipped, worst=worse))
         else:
-            self._begin(impact, odds, row, found)
+            momentum = self._struck(self._begun(pulse, row), pulse, unclipped, worst=True)
+            self._begin(impact, odds, row, found, momentum)
 
-    def _impact(self, pulse: Pulse, row: int) -> tuple[Impact, float]:
-        """The accident that a pulse would be, and its log-odds."""
+    def _begun(self, pulse: Pulse, row: int) -> Momentum:
+        level = self._level
+        return begun(level.t_ns, level.x, level.flags, pulse.first, row, self._registers)
+
+    def _struck(self, was: Momentum | None, pulse: Pulse, whole: Whole | None, *, worst: bool) -> Momentum | None:
+        level, rows = self._level, (pulse.first, pulse.last)
+        return None if was is None else struck(was, level.t_ns, level.x, level.flags, rows, whole, worst=worst)
+
+    def _impact(self, pulse: Pulse, row: int) -> tuple[Impact, float, Whole | None]:
+        """The accident that a pulse would be, its log-odds, and what it was where it clipped."""
         limits, level = self._limits, self._level
         t_ns, x = level.t_ns, level.x
         delta_v, duration_s = math.hypot(pulse.forward_mps, pulse.right_mps), pulse.duration_s
@@ -193,13 +213,14 @@ class ImpactDetector:
         across_sd = math.hypot(tilt_sd * STANDARD_GRAVITY_MPS2 * duration_s, limits.pulse.noise_sd_mps)
         sd = math.hypot(limits.pulse.scale_sd * delta_v, across_sd)
         interval = (max(delta_v - 1.96 * sd, 0.0), delta_v + 1.96 * sd)
-        clipped = pulse.clipped_s > 0.0
-        if clipped and delta_v > 0.0:
-            guessed = unclip(t_ns, x, level.flags, pulse)
-            low, high = guessed.low_mps - guessed.delta_v_mps, guessed.high_mps - guessed.delta_v_mps
-            delta_v, duration_s, direction = guessed.delta_v_mps, guessed.duration_s, (guessed.forward, guessed.right)
+        whole, hidden_rad = None, 0.0
+        if pulse.clipped_s > 0.0:
+            whole = unclip(t_ns, x, level.flags, pulse.first, pulse.last)
+            low, high, hidden_rad = whole.low_mps - whole.delta_v_mps, whole.high_mps - whole.delta_v_mps, whole.direction_sd_rad
+            delta_v, duration_s = whole.delta_v_mps, whole.duration_s
+            direction = (float(whole.direction[0]), float(whole.direction[1]))
             interval = (max(delta_v - math.hypot(low, 1.96 * sd), 0.0), delta_v + math.hypot(high, 1.96 * sd))
-            sd = math.hypot(sd, guessed.sd_mps)
+            sd = math.hypot(sd, whole.sd_mps)
         evidence = Evidence(
             delta_v_mps=math.hypot(pulse.forward_mps, pulse.right_mps),
             beyond_mps=pulse.beyond_mps,
@@ -208,6 +229,8 @@ class ImpactDetector:
             retained=pulse.retained,
             rate_radps=pulse.rate_radps,
             jolt_radps=pulse.jolt_radps,
+            tip_radps=pulse.tip_radps,
+            aside=abs(pulse.right_mps) / max(math.hypot(pulse.forward_mps, pulse.right_mps), 1e-9),
             clipping_s=pulse.clipping_s,
             abrupt=pulse.abrupt,
             speed_mps=float(x[pulse.first, SPEED]),
@@ -228,16 +251,16 @@ class ImpactDetector:
             pdof_deg=pdof_deg,
             peak_mps2=pulse.peak_mps2,
             duration_s=duration_s,
-            clipped=clipped,
+            clipped=whole is not None,
             speed_before_mps=float(x[pulse.first, SPEED]),
             paper_agrees=paper_rule.holds_within(x, pulse.first, row, limits.paper),
             kind=Kind.PARKED_HIT if pulse.stood and self._parked(int(t_ns[pulse.first])) else Kind.COLLISION,
             delta_v_interval_mps=interval,
-            pdof_sd_deg=force_direction_sd_deg(delta_v, across_sd, limits.pulse, clipped=clipped),
+            pdof_sd_deg=force_direction_sd_deg(delta_v, across_sd, limits.pulse, hidden_rad),
             injury=injury_risk(interval, pdof_deg),
-            reasons=reasons(_NOTHING_YET, limits.aftermath, clipped=clipped, rollover=False),
+            reasons=reasons(_NOTHING_YET, limits.aftermath, clipped=whole is not None, rollover=False),
         )
-        return impact, odds
+        return impact, odds, whole
 
     def _fell(self, t_ns: int, within_s: float = FELL_BEFORE_S) -> bool:
         return t_ns - int(self._registers[trigger.FELL]) < _ns(within_s)
@@ -252,11 +275,13 @@ class ImpactDetector:
         assert self._open is not None
         return self._open
 
-    def _begin(self, impact: Impact, odds: float, row: int, found: Findings) -> None:
+    def _begin(
+        self, impact: Impact, odds: float, row: int, found: Findings, momentum: Momentum | None = None
+    ) -> None:
         """Tell a new accident; one that is still open is closed first."""
         if self._open is not None:
             self._close(row, found)
-        self._open = _Open(impact, odds, impact.decided_t_ns)
+        self._open = _Open(impact, odds, impact.decided_t_ns, momentum)
         self._registers[trigger.OPEN], self._registers[trigger.OPEN_FROM] = 1, impact.decided_t_ns
         self._marks[trigger.LEAST_SPEED] = math.nan
         self._marks[[trigger.MOST_ROUGH, trigger.TURNED, trigger.LONGEST_REST]] = 0.0
@@ -270,7 +295,15 @@ class ImpactDetector:
         self._registers[[trigger.SHOCK_START, trigger.HARD_SINCE, trigger.HARD_UNTIL]] = NEVER
         self._weak = None
 
-    def _update(self, impact: Impact, odds: float, row: int, found: Findings, impacts: int | None = None) -> None:
+    def _update(
+        self,
+        impact: Impact,
+        odds: float,
+        row: int,
+        found: Findings,
+        momentum: Momentum | None,
+        impacts: int | None = None,
+    ) -> None:
         """Tell the open accident again, with what is known now."""
         was = self._opened
         impact = replace(
@@ -283,18 +316,19 @@ class ImpactDetector:
             speed_before_mps=was.impact.speed_before_mps,
             paper_agrees=was.impact.paper_agrees or impact.paper_agrees,
         )
-        self._open = replace(was, impact=impact, odds=odds, last_ns=int(self._level.t_ns[row]))
+        self._open = replace(was, impact=impact, odds=odds, last_ns=int(self._level.t_ns[row]), momentum=momentum)
         found.impacts.append(impact)
         self._go_on()
 
-    def _add(self, impact: Impact, odds: float, row: int, found: Findings) -> None:
+    def _add(self, impact: Impact, odds: float, row: int, found: Findings, momentum: Momentum | None) -> None:
         """A further impact of the open accident: told at once where it is worse, counted where it is not."""
         was = self._opened
         count, odds = was.impact.impacts + 1, max(odds, was.odds)
         if impact.delta_v_mps > was.impact.delta_v_mps:
-            self._update(replace(impact, t_ns=was.impact.t_ns), odds, row, found, impacts=count)
+            self._update(replace(impact, t_ns=was.impact.t_ns), odds, row, found, momentum, impacts=count)
             return
-        self._open = replace(was, impact=replace(was.impact, impacts=count), odds=odds, last_ns=impact.decided_t_ns)
+        was = replace(was, impact=replace(was.impact, impacts=count), odds=odds, last_ns=impact.decided_t_ns)
+        self._open = replace(was, momentum=momentum)
         self._go_on()
 
     def _dismiss(self, impact: Impact, odds: float, told: bool, row: int, found: Findings) -> None:
@@ -328,7 +362,35 @@ class ImpactDetector:
         odds = followed(was.odds, after, limits.judgement, limits.aftermath)
         status = Status.CONFIRMED if probability(odds) >= limits.judgement.tell else Status.RETRACTED
         told = reasons(after, limits.aftermath, clipped=was.impact.clipped, rollover=was.impact.rollover)
-        self._finish(replace(was.impact, decided_t_ns=now, reasons=told), odds, status, found)
+        impact = self._settled(was, row)
+        self._finish(replace(impact, decided_t_ns=now, reasons=told), odds, status, found)
+
+    def _settled(self, was: _Open, row: int) -> Impact:
+        """The open accident with what its rest, or its rolling on, tells of what clipped."""
+        impact, limits, level = was.impact, self._limits, self._level
+        if was.momentum is None or impact.rollover:
+            return impact
+        found = settled(was.momentum, level.t_ns, level.x, row, self._registers, limits.aftermath)
+        if found is None:
+            return impact
+        mean, spread = found
+        delta_v = float(np.hypot(*mean))
+        unit = mean / max(delta_v, 1e-9)
+        across = np.array([-unit[1], unit[0]])
+        sd = math.hypot(math.sqrt(float(unit @ spread @ unit)), limits.pulse.scale_sd * delta_v)
+        interval = (max(delta_v - 1.96 * sd, 0.0), delta_v + 1.96 * sd)
+        pdof_deg = force_direction_deg(float(unit[0]), float(unit[1]))
+        return replace(
+            impact,
+            delta_v_mps=delta_v,
+            delta_v_sd_mps=sd,
+            delta_v_b_mps=(float(mean[0]), float(mean[1])),
+            pdof_deg=pdof_deg,
+            severity=classify(delta_v, impact.duration_s, limits.severity),
+            delta_v_interval_mps=interval,
+            pdof_sd_deg=force_direction_sd_deg(delta_v, math.sqrt(float(across @ spread @ across)), limits.pulse),
+            injury=injury_risk(interval, pdof_deg),
+        )
 
     def _finish(self, impact: Impact, odds: float, status: Status, found: Findings) -> None:
         was = self._opened
@@ -409,7 +471,7 @@ class ImpactDetector:
             was = self._open
             severity = max(was.impact.severity, Severity.SEVERE, key=_RANKS.index)
             impact = replace(was.impact, decided_t_ns=now, rollover=True, severity=severity)
-            self._update(impact, max(was.odds, ROLLOVER_ODDS), row, found)
+            self._update(impact, max(was.odds, ROLLOVER_ODDS), row, found, was.momentum)
             return
         first = int(np.searchsorted(level.t_ns, since_ns - _ns(1.0)))
         shock, swing_mps, delta_v_mps, _ = read_shock(
@@ -420,7 +482,9 @@ class ImpactDetector:
             towed=self._towed,
         )  # fmt: skip
         rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
-        loose = shock.stood or shock.fell or rate > limits.judgement.rotation_radps
+        # Cars tip over within a second; what crept there, from half as far, was a box that had come to lie so.
+        crept = float(level.x[np.searchsorted(level.t_ns, since_ns - _ns(TIPPED_S)), UPRIGHT]) < math.cos(math.radians(0.5 * limits.trigger.tilt_deg))
+        loose = shock.stood or shock.fell or crept or rate > limits.judgement.rotation_radps
         speed_mps = float(level.x[first, SPEED])
         agrees = paper_rule.holds_within(level.x, first, row, limits.paper)
         if loose:
@@ -486,7 +550,7 @@ class ImpactDetector:
         if self._airbag_ns >= since_ns and not was.airbag:
             self._open = replace(was, airbag=True)
             impact = replace(was.impact, decided_t_ns=now, reasons=("airbag deployed", *was.impact.reasons))
-            self._update(impact, was.odds + limits.judgement.flagged, row, found)
+            self._update(impact, was.odds + limits.judgement.flagged, row, found, was.momentum)
 
 
 _NOTHING_YET: Final = Aftermath(math.nan, math.nan, 0.0, 0.0, 0.0, airbag=False, power_loss=False)
@@ -505,4 +569,7 @@ def _open_from(kept: dict[str, Any]) -> _Open:
         "severity": Severity(impact["severity"]), "kind": Kind(impact["kind"]), "status": Status(impact["status"])
     }  # fmt: skip
     impact["injury"] = None if impact["injury"] is None else InjuryRisk(**impact["injury"])
-    return _Open(**(kept | {"impact": Impact(**impact)}))
+    momentum = kept["momentum"]
+    if momentum is not None:
+        momentum = Momentum(**{name: tuple(value) if isinstance(value, list) else value for name, value in momentum.items()})
+    return _Open(**(kept | {"impact": Impact(**impact), "momentum": momentum}))

@@ -24,7 +24,8 @@ class Evidence:
     swing_mps : range of the vertical change of velocity around it
     retained : share of the change that was kept, 0..1
     abrupt : largest acceleration right before and after, over its peak
-    rate_radps, jolt_radps : the fastest rotation and the largest change of it
+    rate_radps, jolt_radps, tip_radps : the fastest rotation, the largest change of it, and that of roll and pitch alone
+    aside : share of the change that is across the vehicle
     speed_mps : fused speed just before; NaN while unknown
     stood : whether the vehicle had stood
     clipping_s : for how long an axis of the accelerometer read its full scale at a stretch
@@ -39,6 +40,8 @@ class Evidence:
     abrupt: float
     rate_radps: float
     jolt_radps: float
+    tip_radps: float
+    aside: float
     speed_mps: float
     stood: bool
     clipping_s: float
@@ -66,13 +69,15 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     """Log-odds that a pulse was an accident: a sum of what speaks for and against it.
 
     For it speaks the change of velocity beyond the tyres' reach; against it a vertical blow that is larger than the
-    horizontal one, a swing back, a length that crash pulses do not have, and what only a loose box or a failing
+    horizontal one, that it lifts and tips what it strikes as wheels on kerbs and hands on boxes do, a swing back, a length that crash pulses do not have, and what only a loose box or a failing
     converter does.
     """
     ratio = evidence.swing_mps / max(evidence.delta_v_mps, 1e-3)
     duration_s = max(evidence.duration_s, 1e-3)
     total = limits.base + limits.beyond * math.log(max(evidence.beyond_mps, LEAST_MPS) / limits.beyond_mps)
     total -= limits.vertical * max(0.0, ratio - limits.vertical_from)
+    lifted = (evidence.swing_mps + evidence.tip_radps) / max(evidence.delta_v_mps, 1e-3)
+    total -= limits.lifted * max(0.0, lifted - limits.lifted_from)
     total -= limits.retained * max(0.0, limits.retained_from - evidence.retained)
     total -= limits.short * max(0.0, math.log(limits.short_s / duration_s))
     total -= limits.long * max(0.0, math.log(duration_s / limits.long_s))
@@ -83,12 +88,19 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     # A gyroscope that says nothing at all says nothing of this either.
     unturned = 0.0 < evidence.jolt_radps < limits.unturned_radps and evidence.delta_v_mps < limits.unturned_mps
     glitch = glitch or unturned
-    if evidence.speed_mps < limits.crawl_mps and evidence.delta_v_mps < limits.crawl_share * evidence.speed_mps:
+    if _stopped_by_a_stone(evidence, limits):
         total -= limits.crawl
     stuck = evidence.clipping_s > limits.stuck_s or (
         evidence.clipping_s > limits.still_s and _is_still(evidence, limits)
     )
     return min(total, limits.impossible) if glitch or stuck or evidence.fell else total
+
+
+def _stopped_by_a_stone(evidence: Evidence, limits: JudgementThresholds) -> bool:
+    """Whether a crawling vehicle lost no more than its speed and some rebound, along its way: as at a kerb stone."""
+    crawls = evidence.speed_mps < limits.crawl_mps and not evidence.stood
+    most_mps = limits.crawl_share * (evidence.speed_mps + limits.crawl_sds * limits.speed_sd_mps)
+    return crawls and evidence.delta_v_mps < most_mps and evidence.aside < limits.crawl_aside
 
 
 def _is_still(evidence: Evidence, limits: JudgementThresholds) -> bool:

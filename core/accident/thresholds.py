@@ -218,13 +218,6 @@ class PulseThresholds(Tunables):
     yaw_sd_rad: float = tunable(
         0.05, unit="rad", low=0.001, high=0.5, source="choice, 3 deg: yaw of the box in the vehicle"
     )
-    clipped_direction_sd_deg: float = tunable(
-        20.0,
-        unit="deg",
-        low=0.0,
-        high=90.0,
-        source="two thirds of simulated clipped pulses are told within it (bench --accidents --part corpus)",
-    )
     noise_sd_mps: float = tunable(
         0.1, unit="m/s", low=0.001, high=2.0, source="choice: road and body vibration on an integrated pulse"
     )
@@ -258,12 +251,20 @@ class JudgementThresholds(Tunables):
         0.6, unit="1", low=0.0, high=5.0, source="choice: crashes heave and pitch a car less"
     )
     vertical: float = tunable(7.7, unit="1", low=0.0, high=50.0, source="fitted to simulated cases")
+    lifted_from: float = tunable(
+        0.7,
+        unit="1",
+        low=0.0,
+        high=5.0,
+        source="simulated: 0.7 rad/s and m/s a m/s and less in 99 % of crashes, more where wheels or hands lift a box",
+    )
+    lifted: float = tunable(14.0, unit="1", low=0.0, high=50.0, source="fitted to simulated cases")
     retained_from: float = tunable(0.75, unit="1", low=0.0, high=1.0, source="choice: rebound takes back a quarter")
     retained: float = tunable(
         9.0, unit="1", low=0.0, high=50.0, source="choice: simulated cases hardly tell, recorded shocks swing back"
     )
     short_s: float = tunable(
-        0.05, unit="s", low=0.01, high=0.2, source="choice: crash pulses of cars last longer, see PULSE_MEDIAN_S"
+        0.08, unit="s", low=0.01, high=0.2, source="choice: weak crash pulses of cars last longer, see clipping.py"
     )
     short: float = tunable(10.0, unit="1", low=0.0, high=50.0, source="fitted to simulated cases (13)")
     long_s: float = tunable(
@@ -301,6 +302,15 @@ class JudgementThresholds(Tunables):
     )
     crawl_share: float = tunable(
         1.4, unit="1", low=1.0, high=3.0, source="choice: stopping takes the speed, rolling back a third of it more"
+    )
+    crawl_sds: float = tunable(
+        2.0, unit="1", low=0.0, high=5.0, source="choice: of the speed's own error, one case in 40"
+    )
+    crawl_aside: float = tunable(
+        0.6, unit="1", low=0.0, high=1.0, source="choice: a kerb stone stops a car along its way, within 37 deg"
+    )
+    speed_sd_mps: float = tunable(
+        0.1, unit="m/s", low=0.0, high=2.0, source="measured (bench --accidents --part errors): RMS 0.07 m/s"
     )
     crawl: float = tunable(
         4.0, unit="1", low=0.0, high=20.0, source="choice: kerb stones are met far oftener than cars"
@@ -351,6 +361,31 @@ class AftermathThresholds(Tunables):
     )
     grouping_s: float = tunable(
         5.0, unit="s", low=0.5, high=60.0, source="49 CFR 563.5: events within 5 s are one accident's"
+    )
+    bias_s: float = tunable(
+        2.0, unit="s", low=0.5, high=2.4, source="choice: rest over which an accelerometer's error is read; rows are kept"
+    )
+    rest_error_mps2: float = tunable(
+        0.08,
+        unit="m/s2",
+        low=0.005,
+        high=0.5,
+        source="simulated: what is left of it in motion; spinning cars turn it",
+    )
+    error_mps2: float = tunable(
+        0.12, unit="m/s2", low=0.01, high=1.0, source="simulated: residual bias and 0.25 deg of tilt, where no rest tells"
+    )
+    speed_sd_mps: float = tunable(
+        0.15, unit="m/s", low=0.01, high=2.0, source="measured (bench --accidents --part errors): RMS 0.07; as in outages"
+    )
+    rolling_mps: float = tunable(
+        2.0, unit="m/s", low=0.5, high=10.0, source="choice: slower, a car may as well be pushed backwards"
+    )
+    outside_mps2: float = tunable(
+        20.0, unit="m/s2", low=1.0, high=500.0, source="choice: 2 g, where boxes clip that do"
+    )
+    contradiction: float = tunable(
+        6.0, unit="1", low=2.0, high=100.0, source="chi-square of 2 at 1 in 20: beyond, assumed shapes were wrong"
     )
     parked_s: float = tunable(
         180.0, unit="s", low=10.0, high=3600.0, source="choice: longer than traffic lights and most queues stand"

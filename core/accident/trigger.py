@@ -13,6 +13,7 @@ from core.accident.level import (
     A_X,
     A_Y,
     A_Z,
+    CLIPPED,
     FORCE,
     GAP,
     HEADING_COS,
@@ -58,14 +59,15 @@ NEVER: Final = -(1 << 61)
 
 (PULSE, START, SUSPECTED, HOT, FLOOR, SEEN_EARLY, RESTED, SHOCK_START, SHOCK_LAST, SHOCKS) = range(10)
 (HARD_SINCE, HARD_UNTIL, TILTED, TILT_SEEN, FALL_SINCE, FELL, OPEN, OPEN_FROM, OPEN_UNTIL, MOVED) = range(10, 20)
-(LEAN_SINCE, LEAN_LAST, LEANS, UPRIGHT_AGAIN, LEAN_TOLD) = range(20, 25)
-REGISTERS: Final = 25
+(LEAN_SINCE, LEAN_LAST, LEANS, UPRIGHT_AGAIN, LEAN_TOLD, CLIPPED_NS, GAPS) = range(20, 27)
+REGISTERS: Final = 27
 """Registers, int64. Of a suspected pulse: whether there is one, its start and when it was suspected, the last sample
 beyond reach, the time windows may not begin before, how often it was looked at. When the vehicle stood last.
 Of shocks: the first, the last, how many. Since and until when driving was hard. Since when it lies on its side, and
 whether that was seen. Since when the box falls, and when it last had fallen for ``fall_s``. Of the open accident:
 whether there is one, from and until when it is followed; and when the vehicle moved last. Since and until when a parked
-vehicle leans, how often, whether it was upright since, and whether that was told."""
+vehicle leans, how often, whether it was upright since, and whether that was told. For how long samples were clipped
+in the horizontal plane, and how often the series broke off, since it began."""
 
 (LEAST_SPEED, MOST_ROUGH, TURNED, LONGEST_REST, HARD_X, HARD_Y) = range(6)
 MARKS: Final = 6
@@ -85,7 +87,7 @@ A choice."""
 def fresh_registers() -> TimeArray:
     """Registers of a vehicle of which nothing is known."""
     registers = np.full(REGISTERS, NEVER, dtype=np.int64)
-    registers[[PULSE, SEEN_EARLY, SHOCKS, TILT_SEEN, OPEN, LEANS, UPRIGHT_AGAIN, LEAN_TOLD]] = 0
+    registers[[PULSE, SEEN_EARLY, SHOCKS, TILT_SEEN, OPEN, LEANS, UPRIGHT_AGAIN, LEAN_TOLD, CLIPPED_NS, GAPS]] = 0
     return registers
 
 
@@ -139,6 +141,10 @@ def scan(
     while row < t_ns.shape[0]:
         now = t_ns[row]
         gap = flags[row] & GAP
+        if gap:
+            registers[GAPS] += 1
+        elif flags[row] & CLIPPED:
+            registers[CLIPPED_NS] += now - t_ns[row - 1]
         a2 = x[row, A_X] * x[row, A_X] + x[row, A_Y] * x[row, A_Y]
         if registers[OPEN] and not gap:
             _follow(t_ns, x, row, registers[OPEN_FROM], marks)

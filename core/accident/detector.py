@@ -171,8 +171,10 @@ class ImpactDetector:
         limits, registers, level = self._limits, self._registers, self._level
         t_ns, now = level.t_ns, int(level.t_ns[row])
         start = int(np.searchsorted(t_ns, registers[trigger.START]))
-        pulse = read_pulse(t_ns, level.x, level.flags, start, evidence_row, limits.trigger, limits.pulse)
+        pulse = read_pulse(t_ns, level.x, level.flags, start, (evidence_row, max(row - 1, evidence_row)), limits.trigger, limits.pulse)
         impact, odds, unclipped = self._impact(pulse, row)
+        if not whole and pulse.clipping_s > 0.0 and pulse.jolt_radps < limits.judgement.abrupt_radps:
+            return  # an axis that hangs at its full scale looks the same until it lets go
         told = self._told_ns == registers[trigger.START]
         needed = limits.judgement.retract if told else limits.judgement.tell if whole else limits.judgement.tell_early
         likely = probability(odds) >= needed
@@ -180,6 +182,7 @@ class ImpactDetector:
         if not whole:
             if likely and not same:
                 self._told_ns = int(registers[trigger.START])
+                registers[trigger.SEEN_EARLY] = trigger.TOLD
                 self._begin(impact, odds, row, found, self._begun(pulse, row))
             return
         registers[trigger.PULSE], registers[trigger.FLOOR] = 0, now
@@ -222,9 +225,9 @@ class ImpactDetector:
             interval = (max(delta_v - math.hypot(low, 1.96 * sd), 0.0), delta_v + math.hypot(high, 1.96 * sd))
             sd = math.hypot(sd, whole.sd_mps)
         evidence = Evidence(
-            delta_v_mps=math.hypot(pulse.forward_mps, pulse.right_mps),
+            delta_v_mps=pulse.felt_mps,
             beyond_mps=pulse.beyond_mps,
-            duration_s=pulse.duration_s,
+            duration_s=pulse.felt_s,
             swing_mps=pulse.swing_mps,
             retained=pulse.retained,
             rate_radps=pulse.rate_radps,

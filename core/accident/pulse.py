@@ -36,6 +36,7 @@ from core.measurements import FloatArray, TimeArray
 class Pulse(NamedTuple):
     """A pulse between two rows. Velocities are changes along forward and right at its start, m/s.
 
+    ``felt_mps`` and ``felt_s`` are change and length of what stands out of braking, by which it is judged.
     ``beyond_mps`` is by how much the change exceeds what tyres, pedals and steering can. ``swing_mps`` is the range of
     the vertical change of velocity around it, ``retained`` the share of the largest change that was kept, ``clipped_s``
     how much of it clipped and ``clipping_s`` for how long an axis read its full scale at a stretch, ``abrupt`` the
@@ -47,6 +48,8 @@ class Pulse(NamedTuple):
     last: int
     forward_mps: float
     right_mps: float
+    felt_mps: float
+    felt_s: float
     beyond_mps: float
     swing_mps: float
     retained: float
@@ -122,17 +125,28 @@ def core_rows(
 
 @njit(cache=True, nogil=True)
 def widened(
-    t_ns: TimeArray, x: FloatArray, flags: Flags, first: int, last: int, end: int, onset_mps2: float, onset_s: float
-) -> tuple[int, int]:
-    """The rows of a pulse around its core: while the acceleration along its direction exceeds what there was by
-    ``onset_mps2``, by at most ``onset_s`` on either side."""
+    t_ns: TimeArray,
+    x: FloatArray,
+    flags: Flags,
+    first: int,
+    last: int,
+    ends: tuple[int, int],
+    onset_mps2: float,
+    onset_s: float,
+    tail_s: float,
+    after_ns: int,
+) -> tuple[int, int, int]:
+    """The rows of a pulse around its core, by the acceleration along its direction: since and while it exceeds what
+    there was before by ``onset_mps2``, by at most ``onset_s`` on either side and up to the first of ``ends``; and, third,
+    until it has fallen to half of that above what there is afterwards, in the last ``after_ns`` up to the second of
+    ``ends``, by at most ``tail_s``: brakes and tyres go on where the pulse does not."""
     since = (t_ns[last] - t_ns[first]) * 1e-9
     slow_x, slow_y = x[first, SLOW_X], x[first, SLOW_Y]
     ux, uy = x[last, V_X] - x[first, V_X] - slow_x * since, x[last, V_Y] - x[first, V_Y] - slow_y * since
     norm = max(math.hypot(ux, uy), 1e-9)
     ux, uy = ux / norm, uy / norm
     slow = slow_x * ux + slow_y * uy
-    begin, stop = first, last
+    begin, stop, over = first, last, last
     while (
         begin > 0
         and not flags[begin] & GAP
@@ -141,10 +155,24 @@ def widened(
     ):
         begin -= 1
     while (
-        stop < end and (t_ns[stop + 1] - t_ns[last]) * 1e-9 <= onset_s and _along(x, stop, ux, uy) - slow > onset_mps2
+        stop < ends[0]
+        and (t_ns[stop + 1] - t_ns[last]) * 1e-9 <= onset_s
+        and _along(x, stop, ux, uy) - slow > onset_mps2
     ):
         stop += 1
-    return begin, stop
+    after, rows, k = 0.0, 0, ends[1]
+    while k > last and t_ns[ends[1]] - t_ns[k] < after_ns:
+        after += _along(x, k, ux, uy)
+        rows += 1
+        k -= 1
+    after = max(after / rows, 0.0) if rows > 0 else slow
+    while (
+        over < ends[1]
+        and (t_ns[over + 1] - t_ns[last]) * 1e-9 <= tail_s
+        and _along(x, over, ux, uy) - after > 0.5 * onset_mps2
+    ):
+        over += 1
+    return begin, stop, over
 
 
 @njit(cache=True, nogil=True)
@@ -255,31 +283,38 @@ def read_pulse(
     x: FloatArray,
     flags: Flags,
     start: int,
-    end: int,
+    ends: tuple[int, int],
     trigger: TriggerThresholds,
     limits: PulseThresholds,
 ) -> Pulse:
-    """A suspected pulse from row ``start``, seen up to row ``end``, turned into forward and right at its start."""
+    """A suspected pulse from row ``start``, turned into forward and right at its start. What speaks for and against it
+    is looked for up to the first of ``ends``, its end up to the second."""
     reach = (trigger.tyre_mps2, trigger.standing_mps2, trigger.jerk_mps3)
-    core_first, core_last, most = core_rows(t_ns, x, start, end, trigger.rest_s, reach)
-    first, last = widened(t_ns, x, flags, core_first, core_last, end, limits.onset_mps2, limits.onset_s)
+    core_first, core_last, most = core_rows(t_ns, x, start, ends[0], trigger.rest_s, reach)
+    first, last, over = widened(
+        t_ns, x, flags, core_first, core_last, ends, limits.onset_mps2, limits.onset_s, limits.tail_s,
+        round(trigger.settled_s * 1e9),
+    )  # fmt: skip
     stood = bool(x[core_first, REST_S] >= trigger.rest_s)
     dvx, dvy, swing, kept, peak, clipped_s, abrupt, rate, jolt, tip, levelled = measure(
-        t_ns, x, flags, first, last, end, stood, limits.friction_mps2, round(limits.around_s * 1e9)
+        t_ns, x, flags, first, last, ends[0], stood, limits.friction_mps2, round(limits.around_s * 1e9)
     )
     cos, sin = float(x[first, HEADING_COS]), float(x[first, HEADING_SIN])
+    vx, vy = float(x[over, V_X] - x[first, V_X]), float(x[over, V_Y] - x[first, V_Y])
     return Pulse(
         first=first,
-        last=last,
-        forward_mps=dvx * cos + dvy * sin,
-        right_mps=-dvx * sin + dvy * cos,
+        last=over,
+        forward_mps=vx * cos + vy * sin,
+        right_mps=-vx * sin + vy * cos,
+        felt_mps=math.hypot(dvx, dvy),
+        felt_s=float(t_ns[last] - t_ns[first]) * 1e-9,
         beyond_mps=most,
         swing_mps=swing,
         retained=kept,
         peak_mps2=peak,
-        duration_s=float(t_ns[last] - t_ns[first]) * 1e-9,
+        duration_s=float(t_ns[over] - t_ns[first]) * 1e-9,
         clipped_s=clipped_s,
-        clipping_s=float(x[first : end + 1, CLIP_S].max()),
+        clipping_s=float(x[first : ends[0] + 1, CLIP_S].max()),
         abrupt=abrupt,
         rate_radps=rate,
         jolt_radps=jolt,

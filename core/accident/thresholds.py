@@ -145,8 +145,11 @@ class TriggerThresholds(Tunables):
     settled_s: float = tunable(
         0.04, unit="s", low=0.005, high=0.2, source="choice: a pulse is over when so long below tyre_mps2"
     )
+    told_settled_s: float = tunable(
+        0.06, unit="s", low=0.005, high=0.3, source="choice: once told, the end of its flank is waited for"
+    )
     tell_s: float = tunable(
-        0.11, unit="s", low=0.03, high=0.5, source="choice: suspected within 150 ms of contact, onset included"
+        0.085, unit="s", low=0.03, high=0.5, source="choice: suspected within 150 ms of contact, onset included"
     )
     decide_s: float = tunable(
         0.3, unit="s", low=0.1, high=0.6, source="49 CFR 563.7, table I: the maximum change is looked for within 300 ms"
@@ -196,6 +199,9 @@ class PulseThresholds(Tunables):
     onset_s: float = tunable(
         0.06, unit="s", low=0.0, high=0.2, source="choice: flanks within reach of a pulse of 60-200 ms, at most"
     )
+    tail_s: float = tunable(
+        0.15, unit="s", low=0.0, high=0.5, source="choice: the falling flank of a pulse of 0.35 s within tyres' reach"
+    )
     friction_mps2: float = tunable(
         8.0, unit="m/s2", low=2.0, high=12.0, source="choice, 0.8 g: braked wheels take back what pushed a standing car"
     )
@@ -231,7 +237,7 @@ class JudgementThresholds(Tunables):
         0.5, unit="1", low=0.05, high=0.99, source="choice: told when an accident is likelier than not"
     )
     tell_early: float = tunable(
-        0.93, unit="1", low=0.5, high=0.999, source="choice: what is not over yet is told only where it is plain"
+        0.85, unit="1", low=0.5, high=0.999, source="choice: what is not over yet is told only where it is plain"
     )
     retract: float = tunable(
         0.3, unit="1", low=0.0, high=0.9, source="choice: below tell, so that what is told does not flicker"

@@ -59,15 +59,16 @@ NEVER: Final = -(1 << 61)
 
 (PULSE, START, SUSPECTED, HOT, FLOOR, SEEN_EARLY, RESTED, SHOCK_START, SHOCK_LAST, SHOCKS) = range(10)
 (HARD_SINCE, HARD_UNTIL, TILTED, TILT_SEEN, FALL_SINCE, FELL, OPEN, OPEN_FROM, OPEN_UNTIL, MOVED) = range(10, 20)
-(LEAN_SINCE, LEAN_LAST, LEANS, UPRIGHT_AGAIN, LEAN_TOLD, CLIPPED_NS, GAPS) = range(20, 27)
-REGISTERS: Final = 27
+(LEAN_SINCE, LEAN_LAST, LEANS, UPRIGHT_AGAIN, LEAN_TOLD, CLIPPED_NS, GAPS, SETTLED) = range(20, 28)
+REGISTERS: Final = 28
 """Registers, int64. Of a suspected pulse: whether there is one, its start and when it was suspected, the last sample
 beyond reach, the time windows may not begin before, how often it was looked at. When the vehicle stood last.
 Of shocks: the first, the last, how many. Since and until when driving was hard. Since when it lies on its side, and
 whether that was seen. Since when the box falls, and when it last had fallen for ``fall_s``. Of the open accident:
 whether there is one, from and until when it is followed; and when the vehicle moved last. Since and until when a parked
 vehicle leans, how often, whether it was upright since, and whether that was told. For how long samples were clipped
-in the horizontal plane, and how often the series broke off, since it began."""
+in the horizontal plane, and how often the series broke off, since it began.
+When a told pulse settled; the end of its flank is then waited for."""
 
 (LEAST_SPEED, MOST_ROUGH, TURNED, LONGEST_REST, HARD_X, HARD_Y) = range(6)
 MARKS: Final = 6
@@ -78,9 +79,11 @@ right, m/s2."""
 
 SHAKEN_NS: Final = 2_500_000_000
 """How long an accident's own shaking lasts in the mean of a second, ns; what shakes later is the ground. A choice."""
-LOOKS: Final = 3
+TOLD: Final = 99
+"""In place of the looks where one of them told it."""
+LOOKS: Final = 5
 LOOK_NS: Final = 12_000_000
-"""How often a pulse that goes on is looked at before it is over, and how far apart, ns: up to 135 ms from its start.
+"""How often a pulse that goes on is looked at before it is over, and how far apart, ns: up to 133 ms from its start.
 A choice."""
 
 
@@ -97,7 +100,7 @@ def times_ns(trigger: TriggerThresholds, aftermath: AftermathThresholds) -> Time
         trigger.shortest_s, trigger.longest_s, trigger.settled_s, trigger.tell_s, trigger.decide_s,
         trigger.slow_decide_s, trigger.rest_s, trigger.shock_apart_s, trigger.shock_quiet_s, trigger.shock_longest_s,
         trigger.hard_s, trigger.fall_s, trigger.tilt_s, aftermath.rest_s, trigger.lean_parked_s, trigger.lean_quiet_s,
-        trigger.lean_longest_s,
+        trigger.lean_longest_s, trigger.told_settled_s,
     )  # fmt: skip
     return np.array([round(span_s * 1e9) for span_s in spans_s], dtype=np.int64)
 
@@ -136,7 +139,7 @@ def scan(
     """
     shortest, longest, settled, tell, decide, slow_decide, rest = spans_ns[:7]
     apart, quiet, longest_shocks, hard_for, fall_for, tilt_for, open_rest = spans_ns[7:14]
-    parked, lean_quiet, lean_longest = spans_ns[14:]
+    parked, lean_quiet, lean_longest, told_settled = spans_ns[14:]
     tyre, margin, standing, standing_margin, jerk, hot, shock, hard, fall, tilt_cos, lean_cos, upright_cos = limits
     while row < t_ns.shape[0]:
         now = t_ns[row]
@@ -160,8 +163,15 @@ def scan(
             if gap:  # what came after the silence says nothing about the pulse
                 return row, row - 1, 2
             latest = max(registers[START] + decide, registers[SUSPECTED] + slow_decide)
-            if now - registers[HOT] >= settled or now >= latest:
-                return row, row, 2
+            if registers[SETTLED] == NEVER and (now - registers[HOT] >= settled or now >= latest):
+                if registers[SEEN_EARLY] != TOLD:
+                    return row, row, 2
+                registers[SETTLED] = now  # nobody waits for it any more
+            if registers[SETTLED] != NEVER and (registers[HOT] == now or now - registers[SETTLED] >= told_settled):
+                evidence = row
+                while t_ns[evidence] > registers[SETTLED]:
+                    evidence -= 1
+                return row, evidence, 2
             if registers[SEEN_EARLY] < LOOKS and now - registers[START] >= tell + registers[SEEN_EARLY] * LOOK_NS:
                 registers[SEEN_EARLY] += 1
                 return row, row, 1
@@ -182,7 +192,7 @@ def scan(
                     if excess > most:
                         most = excess
                         registers[PULSE], registers[SUSPECTED], registers[START] = 1, now, t_ns[back]
-                        registers[SEEN_EARLY] = 0
+                        registers[SEEN_EARLY], registers[SETTLED] = 0, NEVER
                 if flags[back] & GAP:
                     break
                 back -= 1

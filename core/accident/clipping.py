@@ -15,8 +15,8 @@ from core.measurements import FloatArray, TimeArray
 class Whole(NamedTuple):
     """A whole pulse estimated from what was not clipped, along forward and right at its start.
 
-    Change of velocity (m/s) with sd and 95 % interval, its length (s), its direction as a unit vector with spread (rad),
-    and mean (2,) and covariance (2, 2) of its parts, m/s.
+    Change of velocity (m/s) with sd and 95 % interval, its length (s), its direction as a unit vector with spread
+    (rad), and mean (2,) and covariance (2, 2) of its parts, m/s.
     """
 
     delta_v_mps: float
@@ -77,7 +77,7 @@ def unclip(t_ns: TimeArray, x: FloatArray, flags: Flags, first: int, last: int) 
     at_scale = np.zeros(read.shape, dtype=np.bool_)
     scale = float(np.max(np.abs(read[clipped - first])))
     at_scale[clipped - first] = np.abs(read[clipped - first]) >= AT_SCALE * scale
-    found = _fit((t_ns[rows] - t_ns[first]) * 1e-9, read, at_scale, scale)
+    found = _fit((t_ns[rows] - t_ns[first]) * 1e-9, read, at_scale.astype(np.float64), scale)
     size, sd, low, high, duration_s, mean, covariance, unit = found
     start_cos, start_sin = float(x[first, HEADING_COS]), float(x[first, HEADING_SIN])
     c, s = cos * start_cos + sin * start_sin, sin * start_cos - cos * start_sin
@@ -110,7 +110,7 @@ def _fit(
     that a table for each suffices. The change of velocity |A| T / 2 and T have the priors above, the direction none,
     and A is uniform in its logarithm.
     """
-    n, rows = time.shape[0], np.flatnonzero(at_scale[:, 0] | at_scale[:, 1])
+    n, rows = time.shape[0], np.flatnonzero(at_scale[:, 0] + at_scale[:, 1])
     # The longest run at full scale, then the flanks, as long as they fall away from it.
     first = last = begin = rows[0]
     for i in range(1, rows.shape[0]):
@@ -130,7 +130,7 @@ def _fit(
     since = time[low_row : high_row + 1] - time[first]
     hidden_s = 0.0
     for k in range(1, n):
-        if clip[k, 0] or clip[k, 1]:
+        if clip[k, 0] > 0.0 or clip[k, 1] > 0.0:
             hidden_s += since[k] - since[k - 1]
     spacing_s = (time[-1] - time[0]) / max(time.shape[0] - 1, 1)
     weight_of_one = min(1.0, spacing_s / MISFIT_S)
@@ -175,7 +175,7 @@ def _fit(
                             sum_of_squares = 0.0
                             for k in range(n):
                                 off = (value[k, axis] - node[m] * shape[k]) / (MISFIT * scale)
-                                if not clip[k, axis] or (off > 0.0) == (value[k, axis] > 0.0):
+                                if clip[k, axis] == 0.0 or (off > 0.0) == (value[k, axis] > 0.0):
                                     sum_of_squares += off * off / (1.0 + off * off / ROBUST)
                             cost[axis, m] = prior * 0.5 + weight_of_one * sum_of_squares
                     area_s = pulse_s * (2.0 / math.pi if power == 1 else 0.5)

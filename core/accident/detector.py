@@ -24,11 +24,21 @@ from core.accident.events import (
     Status,
     VehicleMotion,
 )
-from core.accident.judgement import Aftermath, Evidence, followed, log_odds, probability, reasons
-from core.accident.level import CLIPPED, SPEED, UPRIGHT, LevelMotion
-from core.accident.naming import lean, manoeuvre, name
+from core.accident.impacts import deployed, overturned, refined
+from core.accident.judgement import (
+    AIRBAG_DEPLOYED,
+    Aftermath,
+    Evidence,
+    confidence,
+    followed,
+    log_odds,
+    probability,
+    reasons,
+)
+from core.accident.level import SPEED, UPRIGHT, LevelMotion
 from core.accident.momentum import Momentum, begun, settled, struck
-from core.accident.pulse import Pulse, read_pulse
+from core.accident.naming import lean, manoeuvre, name
+from core.accident.pulse import Pulse, hangs, read_pulse
 from core.accident.severity import classify, force_direction_deg, force_direction_sd_deg, injury_risk
 from core.accident.shocks import read_shock
 from core.accident.thresholds import DetectorThresholds
@@ -52,6 +62,11 @@ FELL_BEFORE_TILT_S: Final = 1.5
 """The same before a box lies on its side: it tumbles on. A choice."""
 
 
+TUMBLES_RADPS: Final = 2.0
+"""Cars roll over about their long axis: who turns so fast rather across it, 115 deg/s, is a box. A choice."""
+AIRBAG_ODDS: Final = 2.0
+"""Log-odds of an accident when an airbag is said to have fired and nothing was felt: most such flags are right, a bus
+errs at times. A choice."""
 TIPPED_S: Final = 1.5
 """Within what a vehicle tips from half of ``tilt_deg`` to it, s. A choice: 20 deg/s, slower than any rollover."""
 
@@ -98,7 +113,7 @@ class ImpactDetector:
         self._reaches = trigger.levels(limits.trigger)
         self._open: _Open | None = None
         self._weak: _Weak | None = None
-        self._flags = 0
+        self._flags: int | None = None
         self._airbag_ns = self._power_loss_ns = NEVER
         self._towed = False
         self._told_ns = NEVER
@@ -171,10 +186,11 @@ class ImpactDetector:
         limits, registers, level = self._limits, self._registers, self._level
         t_ns, now = level.t_ns, int(level.t_ns[row])
         start = int(np.searchsorted(t_ns, registers[trigger.START]))
-        pulse = read_pulse(t_ns, level.x, level.flags, start, (evidence_row, max(row - 1, evidence_row)), limits.trigger, limits.pulse)
+        ends = evidence_row, max(row - 1, evidence_row)
+        pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse)
         impact, odds, unclipped = self._impact(pulse, row)
-        if not whole and pulse.clipping_s > 0.0 and pulse.jolt_radps < limits.judgement.abrupt_radps:
-            return  # an axis that hangs at its full scale looks the same until it lets go
+        if not whole and hangs(level.x, pulse.first, row):
+            return  # until it lets go
         told = self._told_ns == registers[trigger.START]
         needed = limits.judgement.retract if told else limits.judgement.tell if whole else limits.judgement.tell_early
         likely = probability(odds) >= needed
@@ -219,8 +235,8 @@ class ImpactDetector:
         whole, hidden_rad = None, 0.0
         if pulse.clipped_s > 0.0:
             whole = unclip(t_ns, x, level.flags, pulse.first, pulse.last)
-            low, high, hidden_rad = whole.low_mps - whole.delta_v_mps, whole.high_mps - whole.delta_v_mps, whole.direction_sd_rad
-            delta_v, duration_s = whole.delta_v_mps, whole.duration_s
+            delta_v, duration_s, hidden_rad = whole.delta_v_mps, whole.duration_s, whole.direction_sd_rad
+            low, high = whole.low_mps - delta_v, whole.high_mps - delta_v
             direction = (float(whole.direction[0]), float(whole.direction[1]))
             interval = (max(delta_v - math.hypot(low, 1.96 * sd), 0.0), delta_v + math.hypot(high, 1.96 * sd))
             sd = math.hypot(sd, whole.sd_mps)
@@ -247,7 +263,7 @@ class ImpactDetector:
             decided_t_ns=int(t_ns[row]),
             detector=NAME,
             severity=classify(delta_v, duration_s, limits.severity),
-            confidence=probability(odds),
+            confidence=confidence(odds, limits.judgement),
             delta_v_mps=delta_v,
             delta_v_sd_mps=sd,
             delta_v_b_mps=(direction[0] * delta_v, direction[1] * delta_v),
@@ -257,7 +273,7 @@ class ImpactDetector:
             clipped=whole is not None,
             speed_before_mps=float(x[pulse.first, SPEED]),
             paper_agrees=paper_rule.holds_within(x, pulse.first, row, limits.paper),
-            kind=Kind.PARKED_HIT if pulse.stood and self._parked(int(t_ns[pulse.first])) else Kind.COLLISION,
+            kind=Kind.PARKED_HIT if self._stood_parked(int(t_ns[pulse.first])) else Kind.COLLISION,
             delta_v_interval_mps=interval,
             pdof_sd_deg=force_direction_sd_deg(delta_v, across_sd, limits.pulse, hidden_rad),
             injury=injury_risk(interval, pdof_deg),
@@ -268,19 +284,23 @@ class ImpactDetector:
     def _fell(self, t_ns: int, within_s: float = FELL_BEFORE_S) -> bool:
         return t_ns - int(self._registers[trigger.FELL]) < _ns(within_s)
 
-    def _parked(self, t_ns: int) -> bool:
+    def _stood_parked(self, t_ns: int) -> bool:
+        """Whether the vehicle stood, parked, until a time: what then pushes it is no journey's accident."""
+        if t_ns - int(self._registers[trigger.RESTED]) > _ns(self._limits.trigger.rest_s):
+            return False
         if self._ignition is not None:
             return not self._ignition
-        return bool(t_ns - self._registers[trigger.MOVED] > _ns(self._limits.aftermath.parked_s))
+        moved_ns = int(self._registers[trigger.MOVED])
+        if moved_ns > t_ns:  # it moves since it was struck
+            moved_ns = int(self._registers[trigger.MOVED_BEFORE])
+        return t_ns - moved_ns > _ns(self._limits.aftermath.parked_s)
 
     @property
     def _opened(self) -> _Open:
         assert self._open is not None
         return self._open
 
-    def _begin(
-        self, impact: Impact, odds: float, row: int, found: Findings, momentum: Momentum | None = None
-    ) -> None:
+    def _begin(self, impact: Impact, odds: float, row: int, found: Findings, momentum: Momentum | None = None) -> None:
         """Tell a new accident; one that is still open is closed first."""
         if self._open is not None:
             self._close(row, found)
@@ -309,13 +329,15 @@ class ImpactDetector:
     ) -> None:
         """Tell the open accident again, with what is known now."""
         was = self._opened
+        if was.airbag and AIRBAG_DEPLOYED not in impact.reasons:
+            impact = replace(impact, reasons=(AIRBAG_DEPLOYED, *impact.reasons))
         impact = replace(
             impact,
             revision=was.impact.revision + 1,
             impacts=was.impact.impacts if impacts is None else impacts,
             kind=was.impact.kind,
             rollover=was.impact.rollover or impact.rollover,
-            confidence=probability(odds),
+            confidence=confidence(odds, self._limits.judgement),
             speed_before_mps=was.impact.speed_before_mps,
             paper_agrees=was.impact.paper_agrees or impact.paper_agrees,
         )
@@ -376,29 +398,12 @@ class ImpactDetector:
         found = settled(was.momentum, level.t_ns, level.x, row, self._registers, limits.aftermath)
         if found is None:
             return impact
-        mean, spread = found
-        delta_v = float(np.hypot(*mean))
-        unit = mean / max(delta_v, 1e-9)
-        across = np.array([-unit[1], unit[0]])
-        sd = math.hypot(math.sqrt(float(unit @ spread @ unit)), limits.pulse.scale_sd * delta_v)
-        interval = (max(delta_v - 1.96 * sd, 0.0), delta_v + 1.96 * sd)
-        pdof_deg = force_direction_deg(float(unit[0]), float(unit[1]))
-        return replace(
-            impact,
-            delta_v_mps=delta_v,
-            delta_v_sd_mps=sd,
-            delta_v_b_mps=(float(mean[0]), float(mean[1])),
-            pdof_deg=pdof_deg,
-            severity=classify(delta_v, impact.duration_s, limits.severity),
-            delta_v_interval_mps=interval,
-            pdof_sd_deg=force_direction_sd_deg(delta_v, math.sqrt(float(across @ spread @ across)), limits.pulse),
-            injury=injury_risk(interval, pdof_deg),
-        )
+        return refined(impact, *found, limits)
 
     def _finish(self, impact: Impact, odds: float, status: Status, found: Findings) -> None:
         was = self._opened
-        confidence = probability(odds)
-        impact = replace(impact, status=status, confidence=confidence, revision=was.impact.revision + 1)
+        said = confidence(odds, self._limits.judgement)
+        impact = replace(impact, status=status, confidence=said, revision=was.impact.revision + 1)
         found.impacts.append(impact)
         self._open, self._registers[trigger.OPEN] = None, 0
         if status is Status.RETRACTED and self._weak is None:
@@ -406,7 +411,7 @@ class ImpactDetector:
             paper = impact.paper_agrees
             found.candidates.append(
                 Candidate(
-                    impact.t_ns, impact.decided_t_ns, NoAccident.UNEXPLAINED, confidence, *felt,
+                    impact.t_ns, impact.decided_t_ns, NoAccident.UNEXPLAINED, said, *felt,
                     impact.speed_before_mps, paper,
                 )
             )  # fmt: skip
@@ -430,7 +435,7 @@ class ImpactDetector:
                 t_ns=start_ns if weak is None else weak.t_ns,
                 decided_t_ns=int(level.t_ns[row]),
                 reason=name(shock, self._limits.naming),
-                probability=0.0 if weak is None else probability(weak.odds),
+                probability=0.0 if weak is None else confidence(weak.odds, self._limits.judgement),
                 delta_v_mps=delta_v_mps if weak is None else weak.delta_v_mps,
                 vertical_mps=swing_mps,
                 peak_mps2=max(shock.vertical_mps2, shock.horizontal_mps2),
@@ -486,39 +491,24 @@ class ImpactDetector:
         )  # fmt: skip
         rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
         # Cars tip over within a second; what crept there, from half as far, was a box that had come to lie so.
-        crept = float(level.x[np.searchsorted(level.t_ns, since_ns - _ns(TIPPED_S)), UPRIGHT]) < math.cos(math.radians(0.5 * limits.trigger.tilt_deg))
-        loose = shock.stood or shock.fell or crept or rate > limits.judgement.rotation_radps
+        half_way = math.cos(math.radians(0.5 * limits.trigger.tilt_deg))
+        crept = level.x[np.searchsorted(level.t_ns, since_ns - _ns(TIPPED_S)), UPRIGHT] < half_way
+        tumbles = shock.nod_radps > max(TUMBLES_RADPS, shock.sway_radps) or rate > limits.judgement.rotation_radps
+        loose = shock.stood or shock.fell or crept or tumbles
         speed_mps = float(level.x[first, SPEED])
         agrees = paper_rule.holds_within(level.x, first, row, limits.paper)
         if loose:
             reason = NoAccident.BOX_DROPPED if shock.fell else NoAccident.BOX_KNOCKED
             found.candidates.append(
                 Candidate(
-                    since_ns, now, reason, probability(LOOSE_ODDS), delta_v_mps, swing_mps,
+                    since_ns, now, reason, confidence(LOOSE_ODDS, limits.judgement), delta_v_mps, swing_mps,
                     shock.horizontal_mps2, (now - since_ns) * 1e-9, speed_mps, agrees,
                 )
             )  # fmt: skip
             return
-        impact = Impact(
-            t_ns=since_ns,
-            decided_t_ns=now,
-            detector=NAME,
-            severity=Severity.SEVERE,
-            confidence=probability(ROLLOVER_ODDS),
-            delta_v_mps=delta_v_mps,
-            delta_v_sd_mps=delta_v_mps,
-            delta_v_b_mps=(0.0, 0.0),
-            pdof_deg=0.0,
-            peak_mps2=shock.horizontal_mps2,
-            duration_s=(now - since_ns) * 1e-9,
-            clipped=bool((level.flags[first : row + 1] & CLIPPED).any()),
-            speed_before_mps=speed_mps,
-            paper_agrees=agrees,
-            kind=Kind.ROLLOVER,
-            delta_v_interval_mps=(0.0, 3.0 * delta_v_mps),
-            pdof_sd_deg=math.nan,
-            rollover=True,
-        )
+        felt = delta_v_mps, shock.horizontal_mps2
+        tilted = int(np.searchsorted(level.t_ns, since_ns))
+        impact = overturned(level, tilted, row, NAME, ROLLOVER_ODDS, felt, limits)
         self._begin(impact, ROLLOVER_ODDS, row, found)
 
     def _leans(self, row: int, found: Findings) -> None:
@@ -540,11 +530,16 @@ class ImpactDetector:
             return
         row, limits = len(self._level.t_ns) - 1, self._limits
         now = int(self._level.t_ns[row])
-        if flags & FLAG_AIRBAG and not self._flags & FLAG_AIRBAG:
+        risen, fresh = flags & ~(self._flags or 0), self._flags is not None
+        if risen & FLAG_AIRBAG:
             self._airbag_ns = now
-        if flags & FLAG_POWER_LOSS and not self._flags & FLAG_POWER_LOSS:
+        if risen & FLAG_POWER_LOSS:
             self._power_loss_ns = now
         self._flags = flags
+        if self._open is None and risen & FLAG_AIRBAG and fresh:
+            self._begin(deployed(self._level, row, NAME, AIRBAG_ODDS, limits), AIRBAG_ODDS, row, found)
+            self._open = replace(self._opened, airbag=True)
+            return
         if self._open is None:
             return
         was, since_ns = self._open, self._open.impact.t_ns - _ns(limits.aftermath.follow_s)
@@ -552,8 +547,9 @@ class ImpactDetector:
             self._open = was = replace(was, power_loss=True, odds=was.odds + limits.judgement.flagged)
         if self._airbag_ns >= since_ns and not was.airbag:
             self._open = replace(was, airbag=True)
-            impact = replace(was.impact, decided_t_ns=now, reasons=("airbag deployed", *was.impact.reasons))
-            self._update(impact, was.odds + limits.judgement.flagged, row, found, was.momentum)
+            self._update(
+                replace(was.impact, decided_t_ns=now), was.odds + limits.judgement.flagged, row, found, was.momentum
+            )
 
 
 _NOTHING_YET: Final = Aftermath(math.nan, math.nan, 0.0, 0.0, 0.0, airbag=False, power_loss=False)
@@ -572,7 +568,5 @@ def _open_from(kept: dict[str, Any]) -> _Open:
         "severity": Severity(impact["severity"]), "kind": Kind(impact["kind"]), "status": Status(impact["status"])
     }  # fmt: skip
     impact["injury"] = None if impact["injury"] is None else InjuryRisk(**impact["injury"])
-    momentum = kept["momentum"]
-    if momentum is not None:
-        momentum = Momentum(**{name: tuple(value) if isinstance(value, list) else value for name, value in momentum.items()})
+    momentum = None if kept["momentum"] is None else Momentum.of(kept["momentum"])
     return _Open(**(kept | {"impact": Impact(**impact), "momentum": momentum}))

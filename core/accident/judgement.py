@@ -12,6 +12,9 @@ LEAST_MPS: Final = 0.05
 """A change beyond reach counts as no less, m/s: the logarithm's end, far below what is suspected."""
 
 
+AIRBAG_DEPLOYED: Final = "airbag deployed"
+
+
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """What a suspected pulse was like.
@@ -69,8 +72,8 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     """Log-odds that a pulse was an accident: a sum of what speaks for and against it.
 
     For it speaks the change of velocity beyond the tyres' reach; against it a vertical blow that is larger than the
-    horizontal one, that it lifts and tips what it strikes as wheels on kerbs and hands on boxes do, a swing back, a length that crash pulses do not have, and what only a loose box or a failing
-    converter does.
+    horizontal one, that it lifts and tips what it strikes as wheels on kerbs and hands on boxes do, a swing back, a
+    length that crash pulses do not have, and what only a loose box or a failing converter does.
     """
     ratio = evidence.swing_mps / max(evidence.delta_v_mps, 1e-3)
     duration_s = max(evidence.duration_s, 1e-3)
@@ -133,11 +136,17 @@ def probability(odds: float) -> float:
     return 1.0 / (1.0 + math.exp(-min(odds, 700.0)))
 
 
+def confidence(odds: float, limits: JudgementThresholds) -> float:
+    """The probability that is told: the log-odds' weights are summed as if they were independent, so that they have to
+    be stretched to hold (Platt 1999)."""
+    return probability(limits.told_slope * odds)
+
+
 def reasons(after: Aftermath, watched: AftermathThresholds, *, clipped: bool, rollover: bool) -> tuple[str, ...]:
     """What a reader should know beside the figures."""
     told = []
     if after.airbag:
-        told.append("airbag deployed")
+        told.append(AIRBAG_DEPLOYED)
     if after.power_loss:
         told.append("power lost")
     if rollover:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -44,6 +46,12 @@ class Momentum:
     hidden: Pair = (0.0, 0.0)
     hidden_spread: Spread = (0.0, 0.0, 0.0)
     within_ns: int = 0
+
+    @staticmethod
+    def of(kept: Mapping[str, Any]) -> Momentum:
+        """Of what ``asdict`` and JSON made of one."""
+        fields: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in kept.items()}
+        return Momentum(**fields)
 
 
 def begun(t_ns: TimeArray, x: FloatArray, flags: Flags, first: int, row: int, registers: TimeArray) -> Momentum:

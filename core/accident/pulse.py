@@ -41,7 +41,7 @@ class Pulse(NamedTuple):
     the vertical change of velocity around it, ``retained`` the share of the largest change that was kept, ``clipped_s``
     how much of it clipped and ``clipping_s`` for how long an axis read its full scale at a stretch, ``abrupt`` the
     acceleration right before and after as a share of its peak, ``rate_radps`` the fastest rotation and ``jolt_radps``
-    the largest change of it, ``tip_radps`` that of roll and pitch alone, ``stood`` whether the vehicle had stood before.
+    the largest change of it, ``tip_radps`` that of roll and pitch alone, ``stood`` whether the vehicle had stood.
     """
 
     first: int
@@ -65,10 +65,13 @@ class Pulse(NamedTuple):
     stood: bool
 
 
+HELD: Final = 0.01
+"""By less of itself the specific force's length changes from sample to sample where an axis hangs. A choice."""
 SHAKEN_MPS: Final = 0.15
 SHAKEN: Final = 0.04
 """Vertical change of velocity, m/s and as a share of the horizontal one, that a blow leaves and a horizontal axis
 that fails does not, but for what tilt lays into the vertical. A choice, after NHTSA test 10146 (0.07 and more)."""
+
 
 @njit(cache=True, nogil=True)
 def _along(x: FloatArray, row: int, ux: float, uy: float) -> float:
@@ -137,9 +140,9 @@ def widened(
     after_ns: int,
 ) -> tuple[int, int, int]:
     """The rows of a pulse around its core, by the acceleration along its direction: since and while it exceeds what
-    there was before by ``onset_mps2``, by at most ``onset_s`` on either side and up to the first of ``ends``; and, third,
-    until it has fallen to half of that above what there is afterwards, in the last ``after_ns`` up to the second of
-    ``ends``, by at most ``tail_s``: brakes and tyres go on where the pulse does not."""
+    there was before by ``onset_mps2``, by at most ``onset_s`` on either side and up to the first of ``ends``; and,
+    third, until it has fallen to half of that above what there is afterwards, in the last ``after_ns`` up to the second
+    of ``ends``, by at most ``tail_s``: brakes and tyres go on where the pulse does not."""
     since = (t_ns[last] - t_ns[first]) * 1e-9
     slow_x, slow_y = x[first, SLOW_X], x[first, SLOW_Y]
     ux, uy = x[last, V_X] - x[first, V_X] - slow_x * since, x[last, V_Y] - x[first, V_Y] - slow_y * since
@@ -276,6 +279,18 @@ def _abruptness(
         if near < math.inf:
             beside = max(beside, near)
     return beside / max(peak, 1e-9)
+
+
+@njit(cache=True, nogil=True)
+def hangs(x: FloatArray, first: int, last: int) -> bool:
+    """Whether an axis reads its full scale between two rows and the others hardly move: a blow would shake them."""
+    clipped = held = 0
+    for k in range(first + 1, last + 1):
+        if x[k, CLIP_S] > 0.0 and x[k - 1, CLIP_S] > 0.0:
+            clipped += 1
+            if abs(x[k, FORCE] - x[k - 1, FORCE]) < HELD * x[k, FORCE]:
+                held += 1
+    return x[last, CLIP_S] > 0.0 and 2 * held >= clipped
 
 
 def read_pulse(

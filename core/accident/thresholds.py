@@ -249,6 +249,9 @@ class JudgementThresholds(Tunables):
         high=20.0,
         source="fitted to simulated cases, less 1.4: accidents are rarer than there",
     )
+    told_slope: float = tunable(
+        1.75, unit="1", low=0.1, high=10.0, source="fitted to the corpus' accidents and 25 000 km of long drives"
+    )
     beyond_mps: float = tunable(
         0.8, unit="m/s", low=0.05, high=5.0, source="choice: where the logarithm of the change beyond reach is zero"
     )
@@ -369,7 +372,11 @@ class AftermathThresholds(Tunables):
         5.0, unit="s", low=0.5, high=60.0, source="49 CFR 563.5: events within 5 s are one accident's"
     )
     bias_s: float = tunable(
-        2.0, unit="s", low=0.5, high=2.4, source="choice: rest over which an accelerometer's error is read; rows are kept"
+        2.0,
+        unit="s",
+        low=0.5,
+        high=2.4,
+        source="choice: rest over which an accelerometer's error is read",
     )
     rest_error_mps2: float = tunable(
         0.08,
@@ -379,10 +386,18 @@ class AftermathThresholds(Tunables):
         source="simulated: what is left of it in motion; spinning cars turn it",
     )
     error_mps2: float = tunable(
-        0.12, unit="m/s2", low=0.01, high=1.0, source="simulated: residual bias and 0.25 deg of tilt, where no rest tells"
+        0.12,
+        unit="m/s2",
+        low=0.01,
+        high=1.0,
+        source="simulated: bias and 0.25 deg of tilt, where no rest tells",
     )
     speed_sd_mps: float = tunable(
-        0.15, unit="m/s", low=0.01, high=2.0, source="measured (bench --accidents --part errors): RMS 0.07; as in outages"
+        0.15,
+        unit="m/s",
+        low=0.01,
+        high=2.0,
+        source="measured (bench --accidents --part errors): RMS 0.07, doubled",
     )
     rolling_mps: float = tunable(
         2.0, unit="m/s", low=0.5, high=10.0, source="choice: slower, a car may as well be pushed backwards"

@@ -59,8 +59,8 @@ NEVER: Final = -(1 << 61)
 
 (PULSE, START, SUSPECTED, HOT, FLOOR, SEEN_EARLY, RESTED, SHOCK_START, SHOCK_LAST, SHOCKS) = range(10)
 (HARD_SINCE, HARD_UNTIL, TILTED, TILT_SEEN, FALL_SINCE, FELL, OPEN, OPEN_FROM, OPEN_UNTIL, MOVED) = range(10, 20)
-(LEAN_SINCE, LEAN_LAST, LEANS, UPRIGHT_AGAIN, LEAN_TOLD, CLIPPED_NS, GAPS, SETTLED) = range(20, 28)
-REGISTERS: Final = 28
+(LEAN_SINCE, LEAN_LAST, LEANS, UPRIGHT_AGAIN, LEAN_TOLD, CLIPPED_NS, GAPS, SETTLED, MOVED_BEFORE) = range(20, 29)
+REGISTERS: Final = 29
 """Registers, int64. Of a suspected pulse: whether there is one, its start and when it was suspected, the last sample
 beyond reach, the time windows may not begin before, how often it was looked at. When the vehicle stood last.
 Of shocks: the first, the last, how many. Since and until when driving was hard. Since when it lies on its side, and
@@ -68,7 +68,8 @@ whether that was seen. Since when the box falls, and when it last had fallen for
 whether there is one, from and until when it is followed; and when the vehicle moved last. Since and until when a parked
 vehicle leans, how often, whether it was upright since, and whether that was told. For how long samples were clipped
 in the horizontal plane, and how often the series broke off, since it began.
-When a told pulse settled; the end of its flank is then waited for."""
+When a told pulse settled; the end of its flank is then waited for.
+When the vehicle had moved last before it stood last."""
 
 (LEAST_SPEED, MOST_ROUGH, TURNED, LONGEST_REST, HARD_X, HARD_Y) = range(6)
 MARKS: Final = 6
@@ -154,6 +155,8 @@ def scan(
         if x[row, REST_S] * 1e9 >= rest:
             registers[RESTED] = now
         elif not x[row, SPEED] < 0.5:
+            if registers[RESTED] > registers[MOVED]:
+                registers[MOVED_BEFORE] = registers[MOVED]
             registers[MOVED] = now
         _watch(x, row, now, gap, a2, registers, marks, apart, shock, hard, fall, fall_for, tilt_cos)
 

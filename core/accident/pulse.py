@@ -262,7 +262,7 @@ def _abruptness(
     for k in range(enter, leave + 1):
         a = math.hypot(x[k, A_X] - slow_x, x[k, A_Y] - slow_y)
         lowest, varied = min(lowest, a), varied or a < 0.8 * peak
-    if varied and lowest > 0.12 * peak:
+    if varied and lowest > 0.12 * peak and leave >= enter + 2:  # two samples may fail side by side
         return 1.0
     if leave + 1 >= end:
         if frozen > 1 and 2 * frozen > last - first:
@@ -274,8 +274,9 @@ def _abruptness(
         near = math.inf  # the quieter of two: a converter that fails may do so in two steps, a body rings on
         for k in (edge + way, edge + 2 * way):
             if 0 <= k <= end:
-                ax, ay = x[k, A_X] - slow_x, x[k, A_Y] - slow_y
-                near = min(near, math.sqrt(ax * ax + ay * ay + x[k, A_Z] * x[k, A_Z]))
+                # With what there was or without: spikes before make a mean that nothing moved by.
+                level = min(math.hypot(x[k, A_X] - slow_x, x[k, A_Y] - slow_y), math.hypot(x[k, A_X], x[k, A_Y]))
+                near = min(near, math.hypot(level, x[k, A_Z]))
         if near < math.inf:
             beside = max(beside, near)
     return beside / max(peak, 1e-9)

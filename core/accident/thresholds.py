@@ -280,7 +280,7 @@ class JudgementThresholds(Tunables):
         0.15, unit="s", low=0.05, high=1.0, source="choice: longer than most crash pulses, and than a foot takes"
     )
     long: float = tunable(
-        4.5, unit="1", low=0.0, high=50.0, source="fitted to simulated cases (3.4); more, for brakes on rough roads"
+        5.0, unit="1", low=0.0, high=50.0, source="fitted to simulated cases (3.4); more, for brakes on rough roads"
     )
     rotation_radps: float = tunable(
         7.0,
@@ -295,6 +295,12 @@ class JudgementThresholds(Tunables):
     )
     abrupt_radps: float = tunable(
         0.15, unit="rad/s", low=0.0, high=2.0, source="choice: blows turn a car, if only by its springs"
+    )
+    sharp_share: float = tunable(
+        0.08, unit="1", low=0.0, high=0.5, source="simulated: no crash behind a low-pass falls below 0.19"
+    )
+    sharp_radps: float = tunable(
+        0.5, unit="rad/s", low=0.0, high=5.0, source="choice: rough roads turn a car by less meanwhile"
     )
     unturned_radps: float = tunable(
         0.05,

@@ -88,7 +88,8 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
         total -= limits.rotation * math.log(evidence.rate_radps / limits.rotation_radps)
     short = evidence.abrupt < limits.abrupt_share or evidence.duration_s < limits.short_s
     glitch = short and evidence.jolt_radps < limits.abrupt_radps
-    glitch = glitch or (evidence.abrupt < limits.sharp_share and evidence.jolt_radps < limits.sharp_radps)
+    sharp = evidence.abrupt < limits.sharp_share and evidence.clipping_s == 0.0
+    glitch = glitch or (sharp and evidence.jolt_radps < limits.sharp_radps)
     # A gyroscope that says nothing at all says nothing of this either.
     unturned = 0.0 < evidence.jolt_radps < limits.unturned_radps and evidence.delta_v_mps < limits.unturned_mps
     glitch = glitch or unturned

@@ -258,8 +258,9 @@ def _abruptness(
         enter += 1
     while leave > enter and math.hypot(x[leave, A_X] - slow_x, x[leave, A_Y] - slow_y) < 0.3 * peak:
         leave -= 1
-    lowest, varied = math.inf, False
+    lowest, varied, clipped = math.inf, False, False
     for k in range(enter, leave + 1):
+        clipped = clipped or x[k, CLIP_S] > 0.0
         a = math.hypot(x[k, A_X] - slow_x, x[k, A_Y] - slow_y)
         lowest, varied = min(lowest, a), varied or a < 0.8 * peak
     if varied and lowest > 0.12 * peak and leave >= enter + 2:  # two samples may fail side by side
@@ -271,9 +272,11 @@ def _abruptness(
             return 1.0
     beside = 0.0
     for way, edge in ((-1, enter), (1, leave)):
-        near = math.inf  # the quieter of two: a converter that fails may do so in two steps, a body rings on
+        # The quieter of two: a converter that fails may do so in two steps, a body rings on. A blow beyond the full
+        # scale has but one sample of flank.
+        near = math.inf
         for k in (edge + way, edge + 2 * way):
-            if 0 <= k <= end:
+            if 0 <= k <= end and (k == edge + way or not clipped):
                 # With what there was or without: spikes before make a mean that nothing moved by.
                 level = min(math.hypot(x[k, A_X] - slow_x, x[k, A_Y] - slow_y), math.hypot(x[k, A_X], x[k, A_Y]))
                 near = min(near, math.hypot(level, x[k, A_Z]))

@@ -79,18 +79,20 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     duration_s = max(evidence.duration_s, 1e-3)
     total = limits.base + limits.beyond * math.log(max(evidence.beyond_mps, LEAST_MPS) / limits.beyond_mps)
     total -= limits.vertical * max(0.0, ratio - limits.vertical_from)
-    lifted = (evidence.swing_mps + evidence.tip_radps) / max(evidence.delta_v_mps, 1e-3)
+    # Of a larger vertical blow, that of a clipped crash may be, the ratio above speaks alone.
+    lifted = min(ratio, limits.vertical_from) + evidence.tip_radps / max(evidence.delta_v_mps, 1e-3)
     total -= limits.lifted * max(0.0, lifted - limits.lifted_from)
     total -= limits.retained * max(0.0, limits.retained_from - evidence.retained)
     total -= limits.short * max(0.0, math.log(limits.short_s / duration_s))
     total -= limits.long * max(0.0, math.log(duration_s / limits.long_s))
     if evidence.rate_radps > limits.rotation_radps:
         total -= limits.rotation * math.log(evidence.rate_radps / limits.rotation_radps)
-    short = evidence.abrupt < limits.abrupt_share or evidence.duration_s < limits.short_s
-    glitch = short and evidence.jolt_radps < limits.abrupt_radps
+    short = evidence.abrupt < limits.abrupt_share or evidence.duration_s < limits.glitch_s
+    # A gyroscope that says nothing at all says nothing of whether a blow turned the car.
+    unknown = evidence.jolt_radps == 0.0
+    glitch = short and evidence.jolt_radps < limits.abrupt_radps and not (unknown and evidence.clipping_s > 0.0)
     sharp = evidence.abrupt < limits.sharp_share and evidence.clipping_s == 0.0
     glitch = glitch or (sharp and evidence.jolt_radps < limits.sharp_radps)
-    # A gyroscope that says nothing at all says nothing of this either.
     unturned = 0.0 < evidence.jolt_radps < limits.unturned_radps and evidence.delta_v_mps < limits.unturned_mps
     glitch = glitch or unturned
     if _stopped_by_a_stone(evidence, limits):
@@ -111,7 +113,7 @@ def _stopped_by_a_stone(evidence: Evidence, limits: JudgementThresholds) -> bool
 def _is_still(evidence: Evidence, limits: JudgementThresholds) -> bool:
     """Whether nothing but the clipped axis moved."""
     still = evidence.swing_mps < limits.still_share * evidence.delta_v_mps
-    return still and evidence.jolt_radps < limits.abrupt_radps
+    return still and 0.0 < evidence.jolt_radps < limits.abrupt_radps
 
 
 def followed(odds: float, after: Aftermath, limits: JudgementThresholds, watched: AftermathThresholds) -> float:

@@ -30,7 +30,7 @@ class Momentum:
     t_ns, integral, velocity : the time, the integrated acceleration then, and the velocity by the filter
     clipped_ns, gaps : registers of ``trigger`` then
     heading : cosine and sine of the vehicle's as the worst impact began
-    worst, worst_spread : that impact's change of velocity; None where it did not clip
+    worst, worst_spread, worst_read : that impact's change of velocity, and as it was read; None where it did not clip
     hidden, hidden_spread : of all clipped impacts, what their changes exceed what was read, summed
     within_ns : for how long samples clipped within them
     """
@@ -43,6 +43,7 @@ class Momentum:
     heading: Pair
     worst: Pair | None = None
     worst_spread: Spread = (0.0, 0.0, 0.0)
+    worst_read: Pair = (0.0, 0.0)
     hidden: Pair = (0.0, 0.0)
     hidden_spread: Spread = (0.0, 0.0, 0.0)
     within_ns: int = 0
@@ -91,7 +92,9 @@ def struck(
         hidden_spread=_spread(_matrix(was.hidden_spread) + spread),
         within_ns=was.within_ns + _clipped_ns(t_ns, flags, first, last),
     )
-    return replace(found, heading=heading, worst=_pair(mean), worst_spread=_spread(spread)) if worst else found
+    if not worst:
+        return found
+    return replace(found, heading=heading, worst=_pair(mean), worst_spread=_spread(spread), worst_read=_pair(read))
 
 
 def settled(
@@ -103,7 +106,8 @@ def settled(
     heads as fast as the filter says. What the velocity changed by more than was read was hidden by clipping: one
     measurement of the sum over the impacts, by which the worst one's is corrected as a Kalman filter does.
 
-    None where no impact clipped, or nothing is known: no speed before, or a gap.
+    None where no impact clipped, or nothing is known: no speed before, a gap, or less than was read, which clipping
+    cannot have made too large.
     """
     if was.worst is None or not math.isfinite(was.velocity[0]) or int(registers[trigger.GAPS]) != was.gaps:
         return None
@@ -131,6 +135,9 @@ def settled(
     prior, spread = max(surprise, 1.0) * prior, max(surprise, 1.0) * spread
     gain = spread @ np.linalg.inv(prior + known)
     mean, spread = np.array(was.worst) + gain @ innovation, spread - gain @ spread
+    read = np.array(was.worst_read)
+    if float(mean @ read) < limits.read_share * float(read @ read):
+        return None
     cos, sin = was.heading
     turn = np.array([[cos, sin], [-sin, cos]])
     return turn @ mean, turn @ spread @ turn.T

@@ -296,6 +296,9 @@ class JudgementThresholds(Tunables):
     abrupt_radps: float = tunable(
         0.15, unit="rad/s", low=0.0, high=2.0, source="choice: blows turn a car, if only by its springs"
     )
+    glitch_s: float = tunable(
+        0.05, unit="s", low=0.0, high=0.2, source="choice: stiff crashes last longer, also where no gyroscope tells"
+    )
     sharp_share: float = tunable(
         0.08, unit="1", low=0.0, high=0.5, source="simulated: no crash behind a low-pass falls below 0.19"
     )
@@ -413,6 +416,9 @@ class AftermathThresholds(Tunables):
     )
     contradiction: float = tunable(
         6.0, unit="1", low=2.0, high=100.0, source="chi-square of 2 at 1 in 20: beyond, assumed shapes were wrong"
+    )
+    read_share: float = tunable(
+        0.8, unit="1", low=0.0, high=1.0, source="choice: clipping only hides; less than was read is no measurement"
     )
     parked_s: float = tunable(
         180.0, unit="s", low=10.0, high=3600.0, source="choice: longer than traffic lights and most queues stand"

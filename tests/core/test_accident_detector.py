@@ -509,3 +509,18 @@ def test_a_parked_car_is_known_as_parked_though_it_moves_once_it_is_struck():
     motion.speed_mps[(t_s > IMPACT_S + 0.03) & (t_s < IMPACT_S + 0.5)] = 1.5
     (impact,) = find(motion)
     assert impact.kind is Kind.PARKED_HIT
+
+
+@pytest.mark.parametrize("full_scale_g", [2.0, 16.0])
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0])
+@pytest.mark.parametrize(("delta_v", "length_s"), [(4.0, 0.08), (7.0, 0.1), (14.0, 0.07)])
+def test_a_standing_car_that_is_struck_is_found_by_a_box_without_a_gyroscope(full_scale_g, rate_hz, delta_v, length_s):
+    motion = drive(
+        (IMPACT_S, delta_v, 0.0, 0.0, length_s),
+        speed_mps=0.0, full_scale_g=full_scale_g, rate_hz=rate_hz, noise=0.02, seconds=15.0,
+    )  # fmt: skip
+    motion.omega_b[:] = 0.0
+    (impact,) = find(motion)
+    assert abs(math.remainder(impact.pdof_deg - 180.0, 360.0)) < 5.0
+    low_mps, high_mps = impact.delta_v_interval_mps
+    assert low_mps < delta_v < high_mps

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.accident import paper_rule, trigger
+from core.accident.clipping import Whole, unclip
 from core.accident.events import (
     Candidate,
     Findings,
@@ -23,10 +24,21 @@ from core.accident.events import (
     Status,
     VehicleMotion,
 )
-from core.accident.judgement import Aftermath, Evidence, followed, log_odds, probability, reasons
-from core.accident.level import CLIPPED, SPEED, LevelMotion
+from core.accident.impacts import deployed, overturned, refined
+from core.accident.judgement import (
+    AIRBAG_DEPLOYED,
+    Aftermath,
+    Evidence,
+    confidence,
+    followed,
+    log_odds,
+    probability,
+    reasons,
+)
+from core.accident.level import SPEED, UPRIGHT, LevelMotion
+from core.accident.momentum import Momentum, begun, settled, struck
 from core.accident.naming import lean, manoeuvre, name
-from core.accident.pulse import Pulse, read_pulse, unclip
+from core.accident.pulse import Pulse, hangs, read_pulse
 from core.accident.severity import classify, force_direction_deg, force_direction_sd_deg, injury_risk
 from core.accident.shocks import read_shock
 from core.accident.thresholds import DetectorThresholds
@@ -50,6 +62,15 @@ FELL_BEFORE_TILT_S: Final = 1.5
 """The same before a box lies on its side: it tumbles on. A choice."""
 
 
+TUMBLES_RADPS: Final = 2.0
+"""Cars roll over about their long axis: who turns so fast rather across it, 115 deg/s, is a box. A choice."""
+AIRBAG_ODDS: Final = 2.0
+"""Log-odds of an accident when an airbag is said to have fired and nothing was felt: most such flags are right, a bus
+errs at times. A choice."""
+TIPPED_S: Final = 1.5
+"""Within what a vehicle tips from half of ``tilt_deg`` to it, s. A choice: 20 deg/s, slower than any rollover."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Open:
     """The accident that is followed: as it was told last, its log-odds, and when its latest impact ended."""
@@ -57,6 +78,7 @@ class _Open:
     impact: Impact
     odds: float
     last_ns: int
+    momentum: Momentum | None = None
     airbag: bool = False
     power_loss: bool = False
 
@@ -91,7 +113,7 @@ class ImpactDetector:
         self._reaches = trigger.levels(limits.trigger)
         self._open: _Open | None = None
         self._weak: _Weak | None = None
-        self._flags = 0
+        self._flags: int | None = None
         self._airbag_ns = self._power_loss_ns = NEVER
         self._towed = False
         self._told_ns = NEVER
@@ -128,6 +150,8 @@ class ImpactDetector:
     def turn(self, C_new_from_old: FloatArray) -> None:
         """Take samples in other body axes from now on."""
         self._level.turn(C_new_from_old)
+        if self._open is not None:
+            self._open = replace(self._open, momentum=None)  # what was forward is not any more
 
     def state(self) -> dict[str, npt.NDArray[np.generic]]:
         """Arrays from which ``load`` goes on, to the bit."""
@@ -162,8 +186,11 @@ class ImpactDetector:
         limits, registers, level = self._limits, self._registers, self._level
         t_ns, now = level.t_ns, int(level.t_ns[row])
         start = int(np.searchsorted(t_ns, registers[trigger.START]))
-        pulse = read_pulse(t_ns, level.x, level.flags, start, evidence_row, limits.trigger, limits.pulse)
-        impact, odds = self._impact(pulse, row)
+        ends = evidence_row, max(row - 1, evidence_row)
+        pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse)
+        impact, odds, unclipped = self._impact(pulse, row)
+        if not whole and hangs(level.x, pulse.first, row):
+            return  # until it lets go
         told = self._told_ns == registers[trigger.START]
         needed = limits.judgement.retract if told else limits.judgement.tell if whole else limits.judgement.tell_early
         likely = probability(odds) >= needed
@@ -171,20 +198,32 @@ class ImpactDetector:
         if not whole:
             if likely and not same:
                 self._told_ns = int(registers[trigger.START])
-                self._begin(impact, odds, row, found)
+                registers[trigger.SEEN_EARLY] = trigger.TOLD
+                self._begin(impact, odds, row, found, self._begun(pulse, row))
             return
         registers[trigger.PULSE], registers[trigger.FLOOR] = 0, now
         if not likely:
             self._dismiss(impact, odds, told, row, found)
         elif told:
-            self._update(replace(impact, t_ns=self._opened.impact.t_ns), odds, row, found)
+            momentum = self._struck(self._opened.momentum, pulse, unclipped, worst=True)
+            self._update(replace(impact, t_ns=self._opened.impact.t_ns), odds, row, found, momentum)
         elif same:
-            self._add(impact, odds, row, found)
+            worse = impact.delta_v_mps > self._opened.impact.delta_v_mps
+            self._add(impact, odds, row, found, self._struck(self._opened.momentum, pulse, unclipped, worst=worse))
         else:
-            self._begin(impact, odds, row, found)
+            momentum = self._struck(self._begun(pulse, row), pulse, unclipped, worst=True)
+            self._begin(impact, odds, row, found, momentum)
 
-    def _impact(self, pulse: Pulse, row: int) -> tuple[Impact, float]:
-        """The accident that a pulse would be, and its log-odds."""
+    def _begun(self, pulse: Pulse, row: int) -> Momentum:
+        level = self._level
+        return begun(level.t_ns, level.x, level.flags, pulse.first, row, self._registers)
+
+    def _struck(self, was: Momentum | None, pulse: Pulse, whole: Whole | None, *, worst: bool) -> Momentum | None:
+        level, rows = self._level, (pulse.first, pulse.last)
+        return None if was is None else struck(was, level.t_ns, level.x, level.flags, rows, whole, worst=worst)
+
+    def _impact(self, pulse: Pulse, row: int) -> tuple[Impact, float, Whole | None]:
+        """The accident that a pulse would be, its log-odds, and what it was where it clipped."""
         limits, level = self._limits, self._level
         t_ns, x = level.t_ns, level.x
         delta_v, duration_s = math.hypot(pulse.forward_mps, pulse.right_mps), pulse.duration_s
@@ -193,21 +232,24 @@ class ImpactDetector:
         across_sd = math.hypot(tilt_sd * STANDARD_GRAVITY_MPS2 * duration_s, limits.pulse.noise_sd_mps)
         sd = math.hypot(limits.pulse.scale_sd * delta_v, across_sd)
         interval = (max(delta_v - 1.96 * sd, 0.0), delta_v + 1.96 * sd)
-        clipped = pulse.clipped_s > 0.0
-        if clipped and delta_v > 0.0:
-            guessed = unclip(t_ns, x, level.flags, pulse)
-            low, high = guessed.low_mps - guessed.delta_v_mps, guessed.high_mps - guessed.delta_v_mps
-            delta_v, duration_s, direction = guessed.delta_v_mps, guessed.duration_s, (guessed.forward, guessed.right)
+        whole, hidden_rad = None, 0.0
+        if pulse.clipped_s > 0.0:
+            whole = unclip(t_ns, x, level.flags, pulse.first, pulse.last)
+            delta_v, duration_s, hidden_rad = whole.delta_v_mps, whole.duration_s, whole.direction_sd_rad
+            low, high = whole.low_mps - delta_v, whole.high_mps - delta_v
+            direction = (float(whole.direction[0]), float(whole.direction[1]))
             interval = (max(delta_v - math.hypot(low, 1.96 * sd), 0.0), delta_v + math.hypot(high, 1.96 * sd))
-            sd = math.hypot(sd, guessed.sd_mps)
+            sd = math.hypot(sd, whole.sd_mps)
         evidence = Evidence(
-            delta_v_mps=math.hypot(pulse.forward_mps, pulse.right_mps),
+            delta_v_mps=pulse.felt_mps,
             beyond_mps=pulse.beyond_mps,
-            duration_s=pulse.duration_s,
+            duration_s=pulse.felt_s,
             swing_mps=pulse.swing_mps,
             retained=pulse.retained,
             rate_radps=pulse.rate_radps,
             jolt_radps=pulse.jolt_radps,
+            tip_radps=pulse.tip_radps,
+            aside=abs(pulse.right_mps) / max(math.hypot(pulse.forward_mps, pulse.right_mps), 1e-9),
             clipping_s=pulse.clipping_s,
             abrupt=pulse.abrupt,
             speed_mps=float(x[pulse.first, SPEED]),
@@ -221,42 +263,48 @@ class ImpactDetector:
             decided_t_ns=int(t_ns[row]),
             detector=NAME,
             severity=classify(delta_v, duration_s, limits.severity),
-            confidence=probability(odds),
+            confidence=confidence(odds, limits.judgement),
             delta_v_mps=delta_v,
             delta_v_sd_mps=sd,
             delta_v_b_mps=(direction[0] * delta_v, direction[1] * delta_v),
             pdof_deg=pdof_deg,
             peak_mps2=pulse.peak_mps2,
             duration_s=duration_s,
-            clipped=clipped,
+            clipped=whole is not None,
             speed_before_mps=float(x[pulse.first, SPEED]),
             paper_agrees=paper_rule.holds_within(x, pulse.first, row, limits.paper),
-            kind=Kind.PARKED_HIT if pulse.stood and self._parked(int(t_ns[pulse.first])) else Kind.COLLISION,
+            kind=Kind.PARKED_HIT if self._stood_parked(int(t_ns[pulse.first])) else Kind.COLLISION,
             delta_v_interval_mps=interval,
-            pdof_sd_deg=force_direction_sd_deg(delta_v, across_sd, limits.pulse, clipped=clipped),
+            pdof_sd_deg=force_direction_sd_deg(delta_v, across_sd, limits.pulse, hidden_rad),
             injury=injury_risk(interval, pdof_deg),
-            reasons=reasons(_NOTHING_YET, limits.aftermath, clipped=clipped, rollover=False),
+            reasons=reasons(_NOTHING_YET, limits.aftermath, clipped=whole is not None, rollover=False),
         )
-        return impact, odds
+        return impact, odds, whole
 
     def _fell(self, t_ns: int, within_s: float = FELL_BEFORE_S) -> bool:
         return t_ns - int(self._registers[trigger.FELL]) < _ns(within_s)
 
-    def _parked(self, t_ns: int) -> bool:
+    def _stood_parked(self, t_ns: int) -> bool:
+        """Whether the vehicle stood, parked, until a time: what then pushes it is no journey's accident."""
+        if t_ns - int(self._registers[trigger.RESTED]) > _ns(self._limits.trigger.rest_s):
+            return False
         if self._ignition is not None:
             return not self._ignition
-        return bool(t_ns - self._registers[trigger.MOVED] > _ns(self._limits.aftermath.parked_s))
+        moved_ns = int(self._registers[trigger.MOVED])
+        if moved_ns > t_ns:  # it moves since it was struck
+            moved_ns = int(self._registers[trigger.MOVED_BEFORE])
+        return t_ns - moved_ns > _ns(self._limits.aftermath.parked_s)
 
     @property
     def _opened(self) -> _Open:
         assert self._open is not None
         return self._open
 
-    def _begin(self, impact: Impact, odds: float, row: int, found: Findings) -> None:
+    def _begin(self, impact: Impact, odds: float, row: int, found: Findings, momentum: Momentum | None = None) -> None:
         """Tell a new accident; one that is still open is closed first."""
         if self._open is not None:
             self._close(row, found)
-        self._open = _Open(impact, odds, impact.decided_t_ns)
+        self._open = _Open(impact, odds, impact.decided_t_ns, momentum)
         self._registers[trigger.OPEN], self._registers[trigger.OPEN_FROM] = 1, impact.decided_t_ns
         self._marks[trigger.LEAST_SPEED] = math.nan
         self._marks[[trigger.MOST_ROUGH, trigger.TURNED, trigger.LONGEST_REST]] = 0.0
@@ -270,31 +318,42 @@ class ImpactDetector:
         self._registers[[trigger.SHOCK_START, trigger.HARD_SINCE, trigger.HARD_UNTIL]] = NEVER
         self._weak = None
 
-    def _update(self, impact: Impact, odds: float, row: int, found: Findings, impacts: int | None = None) -> None:
+    def _update(
+        self,
+        impact: Impact,
+        odds: float,
+        row: int,
+        found: Findings,
+        momentum: Momentum | None,
+        impacts: int | None = None,
+    ) -> None:
         """Tell the open accident again, with what is known now."""
         was = self._opened
+        if was.airbag and AIRBAG_DEPLOYED not in impact.reasons:
+            impact = replace(impact, reasons=(AIRBAG_DEPLOYED, *impact.reasons))
         impact = replace(
             impact,
             revision=was.impact.revision + 1,
             impacts=was.impact.impacts if impacts is None else impacts,
             kind=was.impact.kind,
             rollover=was.impact.rollover or impact.rollover,
-            confidence=probability(odds),
+            confidence=confidence(odds, self._limits.judgement),
             speed_before_mps=was.impact.speed_before_mps,
             paper_agrees=was.impact.paper_agrees or impact.paper_agrees,
         )
-        self._open = replace(was, impact=impact, odds=odds, last_ns=int(self._level.t_ns[row]))
+        self._open = replace(was, impact=impact, odds=odds, last_ns=int(self._level.t_ns[row]), momentum=momentum)
         found.impacts.append(impact)
         self._go_on()
 
-    def _add(self, impact: Impact, odds: float, row: int, found: Findings) -> None:
+    def _add(self, impact: Impact, odds: float, row: int, found: Findings, momentum: Momentum | None) -> None:
         """A further impact of the open accident: told at once where it is worse, counted where it is not."""
         was = self._opened
         count, odds = was.impact.impacts + 1, max(odds, was.odds)
         if impact.delta_v_mps > was.impact.delta_v_mps:
-            self._update(replace(impact, t_ns=was.impact.t_ns), odds, row, found, impacts=count)
+            self._update(replace(impact, t_ns=was.impact.t_ns), odds, row, found, momentum, impacts=count)
             return
-        self._open = replace(was, impact=replace(was.impact, impacts=count), odds=odds, last_ns=impact.decided_t_ns)
+        was = replace(was, impact=replace(was.impact, impacts=count), odds=odds, last_ns=impact.decided_t_ns)
+        self._open = replace(was, momentum=momentum)
         self._go_on()
 
     def _dismiss(self, impact: Impact, odds: float, told: bool, row: int, found: Findings) -> None:
@@ -328,12 +387,23 @@ class ImpactDetector:
         odds = followed(was.odds, after, limits.judgement, limits.aftermath)
         status = Status.CONFIRMED if probability(odds) >= limits.judgement.tell else Status.RETRACTED
         told = reasons(after, limits.aftermath, clipped=was.impact.clipped, rollover=was.impact.rollover)
-        self._finish(replace(was.impact, decided_t_ns=now, reasons=told), odds, status, found)
+        impact = self._settled(was, row)
+        self._finish(replace(impact, decided_t_ns=now, reasons=told), odds, status, found)
+
+    def _settled(self, was: _Open, row: int) -> Impact:
+        """The open accident with what its rest, or its rolling on, tells of what clipped."""
+        impact, limits, level = was.impact, self._limits, self._level
+        if was.momentum is None or impact.rollover:
+            return impact
+        found = settled(was.momentum, level.t_ns, level.x, row, self._registers, limits.aftermath)
+        if found is None:
+            return impact
+        return refined(impact, *found, limits)
 
     def _finish(self, impact: Impact, odds: float, status: Status, found: Findings) -> None:
         was = self._opened
-        confidence = probability(odds)
-        impact = replace(impact, status=status, confidence=confidence, revision=was.impact.revision + 1)
+        said = confidence(odds, self._limits.judgement)
+        impact = replace(impact, status=status, confidence=said, revision=was.impact.revision + 1)
         found.impacts.append(impact)
         self._open, self._registers[trigger.OPEN] = None, 0
         if status is Status.RETRACTED and self._weak is None:
@@ -341,7 +411,7 @@ class ImpactDetector:
             paper = impact.paper_agrees
             found.candidates.append(
                 Candidate(
-                    impact.t_ns, impact.decided_t_ns, NoAccident.UNEXPLAINED, confidence, *felt,
+                    impact.t_ns, impact.decided_t_ns, NoAccident.UNEXPLAINED, said, *felt,
                     impact.speed_before_mps, paper,
                 )
             )  # fmt: skip
@@ -365,7 +435,7 @@ class ImpactDetector:
                 t_ns=start_ns if weak is None else weak.t_ns,
                 decided_t_ns=int(level.t_ns[row]),
                 reason=name(shock, self._limits.naming),
-                probability=0.0 if weak is None else probability(weak.odds),
+                probability=0.0 if weak is None else confidence(weak.odds, self._limits.judgement),
                 delta_v_mps=delta_v_mps if weak is None else weak.delta_v_mps,
                 vertical_mps=swing_mps,
                 peak_mps2=max(shock.vertical_mps2, shock.horizontal_mps2),
@@ -409,7 +479,7 @@ class ImpactDetector:
             was = self._open
             severity = max(was.impact.severity, Severity.SEVERE, key=_RANKS.index)
             impact = replace(was.impact, decided_t_ns=now, rollover=True, severity=severity)
-            self._update(impact, max(was.odds, ROLLOVER_ODDS), row, found)
+            self._update(impact, max(was.odds, ROLLOVER_ODDS), row, found, was.momentum)
             return
         first = int(np.searchsorted(level.t_ns, since_ns - _ns(1.0)))
         shock, swing_mps, delta_v_mps, _ = read_shock(
@@ -420,38 +490,25 @@ class ImpactDetector:
             towed=self._towed,
         )  # fmt: skip
         rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
-        loose = shock.stood or shock.fell or rate > limits.judgement.rotation_radps
+        # Cars tip over within a second; what crept there, from half as far, was a box that had come to lie so.
+        half_way = math.cos(math.radians(0.5 * limits.trigger.tilt_deg))
+        crept = level.x[np.searchsorted(level.t_ns, since_ns - _ns(TIPPED_S)), UPRIGHT] < half_way
+        tumbles = shock.nod_radps > max(TUMBLES_RADPS, shock.sway_radps) or rate > limits.judgement.rotation_radps
+        loose = shock.stood or shock.fell or crept or tumbles
         speed_mps = float(level.x[first, SPEED])
         agrees = paper_rule.holds_within(level.x, first, row, limits.paper)
         if loose:
             reason = NoAccident.BOX_DROPPED if shock.fell else NoAccident.BOX_KNOCKED
             found.candidates.append(
                 Candidate(
-                    since_ns, now, reason, probability(LOOSE_ODDS), delta_v_mps, swing_mps,
+                    since_ns, now, reason, confidence(LOOSE_ODDS, limits.judgement), delta_v_mps, swing_mps,
                     shock.horizontal_mps2, (now - since_ns) * 1e-9, speed_mps, agrees,
                 )
             )  # fmt: skip
             return
-        impact = Impact(
-            t_ns=since_ns,
-            decided_t_ns=now,
-            detector=NAME,
-            severity=Severity.SEVERE,
-            confidence=probability(ROLLOVER_ODDS),
-            delta_v_mps=delta_v_mps,
-            delta_v_sd_mps=delta_v_mps,
-            delta_v_b_mps=(0.0, 0.0),
-            pdof_deg=0.0,
-            peak_mps2=shock.horizontal_mps2,
-            duration_s=(now - since_ns) * 1e-9,
-            clipped=bool((level.flags[first : row + 1] & CLIPPED).any()),
-            speed_before_mps=speed_mps,
-            paper_agrees=agrees,
-            kind=Kind.ROLLOVER,
-            delta_v_interval_mps=(0.0, 3.0 * delta_v_mps),
-            pdof_sd_deg=math.nan,
-            rollover=True,
-        )
+        felt = delta_v_mps, shock.horizontal_mps2
+        tilted = int(np.searchsorted(level.t_ns, since_ns))
+        impact = overturned(level, tilted, row, NAME, ROLLOVER_ODDS, felt, limits)
         self._begin(impact, ROLLOVER_ODDS, row, found)
 
     def _leans(self, row: int, found: Findings) -> None:
@@ -473,11 +530,16 @@ class ImpactDetector:
             return
         row, limits = len(self._level.t_ns) - 1, self._limits
         now = int(self._level.t_ns[row])
-        if flags & FLAG_AIRBAG and not self._flags & FLAG_AIRBAG:
+        risen, fresh = flags & ~(self._flags or 0), self._flags is not None
+        if risen & FLAG_AIRBAG:
             self._airbag_ns = now
-        if flags & FLAG_POWER_LOSS and not self._flags & FLAG_POWER_LOSS:
+        if risen & FLAG_POWER_LOSS:
             self._power_loss_ns = now
         self._flags = flags
+        if self._open is None and risen & FLAG_AIRBAG and fresh:
+            self._begin(deployed(self._level, row, NAME, AIRBAG_ODDS, limits), AIRBAG_ODDS, row, found)
+            self._open = replace(self._opened, airbag=True)
+            return
         if self._open is None:
             return
         was, since_ns = self._open, self._open.impact.t_ns - _ns(limits.aftermath.follow_s)
@@ -485,8 +547,9 @@ class ImpactDetector:
             self._open = was = replace(was, power_loss=True, odds=was.odds + limits.judgement.flagged)
         if self._airbag_ns >= since_ns and not was.airbag:
             self._open = replace(was, airbag=True)
-            impact = replace(was.impact, decided_t_ns=now, reasons=("airbag deployed", *was.impact.reasons))
-            self._update(impact, was.odds + limits.judgement.flagged, row, found)
+            self._update(
+                replace(was.impact, decided_t_ns=now), was.odds + limits.judgement.flagged, row, found, was.momentum
+            )
 
 
 _NOTHING_YET: Final = Aftermath(math.nan, math.nan, 0.0, 0.0, 0.0, airbag=False, power_loss=False)
@@ -505,4 +568,5 @@ def _open_from(kept: dict[str, Any]) -> _Open:
         "severity": Severity(impact["severity"]), "kind": Kind(impact["kind"]), "status": Status(impact["status"])
     }  # fmt: skip
     impact["injury"] = None if impact["injury"] is None else InjuryRisk(**impact["injury"])
-    return _Open(**(kept | {"impact": Impact(**impact)}))
+    momentum = None if kept["momentum"] is None else Momentum.of(kept["momentum"])
+    return _Open(**(kept | {"impact": Impact(**impact), "momentum": momentum}))

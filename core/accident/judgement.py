@@ -12,6 +12,9 @@ LEAST_MPS: Final = 0.05
 """A change beyond reach counts as no less, m/s: the logarithm's end, far below what is suspected."""
 
 
+AIRBAG_DEPLOYED: Final = "airbag deployed"
+
+
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """What a suspected pulse was like.
@@ -24,7 +27,8 @@ class Evidence:
     swing_mps : range of the vertical change of velocity around it
     retained : share of the change that was kept, 0..1
     abrupt : largest acceleration right before and after, over its peak
-    rate_radps, jolt_radps : the fastest rotation and the largest change of it
+    rate_radps, jolt_radps, tip_radps : the fastest rotation, the largest change of it, and that of roll and pitch alone
+    aside : share of the change that is across the vehicle
     speed_mps : fused speed just before; NaN while unknown
     stood : whether the vehicle had stood
     clipping_s : for how long an axis of the accelerometer read its full scale at a stretch
@@ -39,6 +43,8 @@ class Evidence:
     abrupt: float
     rate_radps: float
     jolt_radps: float
+    tip_radps: float
+    aside: float
     speed_mps: float
     stood: bool
     clipping_s: float
@@ -66,24 +72,30 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     """Log-odds that a pulse was an accident: a sum of what speaks for and against it.
 
     For it speaks the change of velocity beyond the tyres' reach; against it a vertical blow that is larger than the
-    horizontal one, a swing back, a length that crash pulses do not have, and what only a loose box or a failing
-    converter does.
+    horizontal one, that it lifts and tips what it strikes as wheels on kerbs and hands on boxes do, a swing back, a
+    length that crash pulses do not have, and what only a loose box or a failing converter does.
     """
     ratio = evidence.swing_mps / max(evidence.delta_v_mps, 1e-3)
     duration_s = max(evidence.duration_s, 1e-3)
     total = limits.base + limits.beyond * math.log(max(evidence.beyond_mps, LEAST_MPS) / limits.beyond_mps)
     total -= limits.vertical * max(0.0, ratio - limits.vertical_from)
+    # Of a larger vertical blow, that of a clipped crash may be, the ratio above speaks alone.
+    lifted = min(ratio, limits.vertical_from) + evidence.tip_radps / max(evidence.delta_v_mps, 1e-3)
+    total -= limits.lifted * max(0.0, lifted - limits.lifted_from)
     total -= limits.retained * max(0.0, limits.retained_from - evidence.retained)
     total -= limits.short * max(0.0, math.log(limits.short_s / duration_s))
     total -= limits.long * max(0.0, math.log(duration_s / limits.long_s))
     if evidence.rate_radps > limits.rotation_radps:
         total -= limits.rotation * math.log(evidence.rate_radps / limits.rotation_radps)
-    short = evidence.abrupt < limits.abrupt_share or evidence.duration_s < limits.short_s
-    glitch = short and evidence.jolt_radps < limits.abrupt_radps
-    # A gyroscope that says nothing at all says nothing of this either.
+    short = evidence.abrupt < limits.abrupt_share or evidence.duration_s < limits.glitch_s
+    # A gyroscope that says nothing at all says nothing of whether a blow turned the car.
+    unknown = evidence.jolt_radps == 0.0
+    glitch = short and evidence.jolt_radps < limits.abrupt_radps and not (unknown and evidence.clipping_s > 0.0)
+    sharp = evidence.abrupt < limits.sharp_share and evidence.clipping_s == 0.0
+    glitch = glitch or (sharp and evidence.jolt_radps < limits.sharp_radps)
     unturned = 0.0 < evidence.jolt_radps < limits.unturned_radps and evidence.delta_v_mps < limits.unturned_mps
     glitch = glitch or unturned
-    if evidence.speed_mps < limits.crawl_mps and evidence.delta_v_mps < limits.crawl_share * evidence.speed_mps:
+    if _stopped_by_a_stone(evidence, limits):
         total -= limits.crawl
     stuck = evidence.clipping_s > limits.stuck_s or (
         evidence.clipping_s > limits.still_s and _is_still(evidence, limits)
@@ -91,10 +103,17 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     return min(total, limits.impossible) if glitch or stuck or evidence.fell else total
 
 
+def _stopped_by_a_stone(evidence: Evidence, limits: JudgementThresholds) -> bool:
+    """Whether a crawling vehicle lost no more than its speed and some rebound, along its way: as at a kerb stone."""
+    crawls = evidence.speed_mps < limits.crawl_mps and not evidence.stood
+    most_mps = limits.crawl_share * (evidence.speed_mps + limits.crawl_sds * limits.speed_sd_mps)
+    return crawls and evidence.delta_v_mps < most_mps and evidence.aside < limits.crawl_aside
+
+
 def _is_still(evidence: Evidence, limits: JudgementThresholds) -> bool:
     """Whether nothing but the clipped axis moved."""
     still = evidence.swing_mps < limits.still_share * evidence.delta_v_mps
-    return still and evidence.jolt_radps < limits.abrupt_radps
+    return still and 0.0 < evidence.jolt_radps < limits.abrupt_radps
 
 
 def followed(odds: float, after: Aftermath, limits: JudgementThresholds, watched: AftermathThresholds) -> float:
@@ -121,11 +140,17 @@ def probability(odds: float) -> float:
     return 1.0 / (1.0 + math.exp(-min(odds, 700.0)))
 
 
+def confidence(odds: float, limits: JudgementThresholds) -> float:
+    """The probability that is told: the log-odds' weights are summed as if they were independent, so that they have to
+    be stretched to hold (Platt 1999)."""
+    return probability(limits.told_slope * odds)
+
+
 def reasons(after: Aftermath, watched: AftermathThresholds, *, clipped: bool, rollover: bool) -> tuple[str, ...]:
     """What a reader should know beside the figures."""
     told = []
     if after.airbag:
-        told.append("airbag deployed")
+        told.append(AIRBAG_DEPLOYED)
     if after.power_loss:
         told.append("power lost")
     if rollover:

@@ -1,11 +1,10 @@
-"""One crash pulse read off the level rows: change of velocity, length, peak, and what clipping hid of it."""
+"""One crash pulse read off the level rows: change of velocity, length, peak."""
 
 from __future__ import annotations
 
 import math
 from typing import Final, NamedTuple
 
-import numpy as np
 from numba import njit
 
 from core.accident.level import (
@@ -37,17 +36,20 @@ from core.measurements import FloatArray, TimeArray
 class Pulse(NamedTuple):
     """A pulse between two rows. Velocities are changes along forward and right at its start, m/s.
 
+    ``felt_mps`` and ``felt_s`` are change and length of what stands out of braking, by which it is judged.
     ``beyond_mps`` is by how much the change exceeds what tyres, pedals and steering can. ``swing_mps`` is the range of
     the vertical change of velocity around it, ``retained`` the share of the largest change that was kept, ``clipped_s``
     how much of it clipped and ``clipping_s`` for how long an axis read its full scale at a stretch, ``abrupt`` the
     acceleration right before and after as a share of its peak, ``rate_radps`` the fastest rotation and ``jolt_radps``
-    the largest change of it, ``stood`` whether the vehicle had stood before.
+    the largest change of it, ``tip_radps`` that of roll and pitch alone, ``stood`` whether the vehicle had stood.
     """
 
     first: int
     last: int
     forward_mps: float
     right_mps: float
+    felt_mps: float
+    felt_s: float
     beyond_mps: float
     swing_mps: float
     retained: float
@@ -58,57 +60,17 @@ class Pulse(NamedTuple):
     abrupt: float
     rate_radps: float
     jolt_radps: float
+    tip_radps: float
     levelled: bool
     stood: bool
 
 
-class Whole(NamedTuple):
-    """A whole pulse estimated from its unclipped flanks: change of velocity with sd and 95 % interval, m/s, its
-    direction as a unit vector forward and right, and its length, s."""
-
-    delta_v_mps: float
-    sd_mps: float
-    low_mps: float
-    high_mps: float
-    duration_s: float
-    forward: float
-    right: float
-
-
-PULSE_MEDIAN_S: Final = 0.11
-"""Usual length of a collision's pulse, s: 95 ms against a rigid barrier (NHTSA test 10146), longer where another car
-gives way. A prior for clipped pulses only; an assumption, not fitted to a set of crashes."""
-PULSE_LOG_SD: Final = 0.35
-"""Spread of the logarithm of that length: two thirds of pulses between 78 and 156 ms. A choice."""
-MISFIT: Final = 0.4
-"""How far a real pulse's flank strays from these shapes, of the level it clips at: structures ring. A choice, after
-NHTSA test 10146, whose flank at 2, 4 and 16 g leads and lags them by so much."""
-MISFIT_S: Final = 0.005
-"""How long such a stray lasts, s: samples closer together share one. A choice, after the same test."""
-FLANK_MPS2: Final = 5.0
-"""Sum of the flanks' accelerations, m/s2, from which they tell a direction: well above vibration. A choice."""
-DELTA_V_MEDIAN_MPS: Final = 5.6
-DELTA_V_LOG_SD: Final = 1.0
-"""Changes of velocity that collisions bring, m/s, as a log-normal prior: two thirds between 2.1 and 15 m/s. A choice:
-about 20 km/h is usual where a car had to be towed, and few exceed 60 km/h."""
+HELD: Final = 0.01
+"""By less of itself the specific force's length changes from sample to sample where an axis hangs. A choice."""
 SHAKEN_MPS: Final = 0.15
 SHAKEN: Final = 0.04
 """Vertical change of velocity, m/s and as a share of the horizontal one, that a blow leaves and a horizontal axis
 that fails does not, but for what tilt lays into the vertical. A choice, after NHTSA test 10146 (0.07 and more)."""
-SHORTEST_S: Final = 0.02
-LONGEST_S: Final = 0.4
-"""Lengths that the grid spans, s: wider than the prior by four of its sds. A choice."""
-STRONGEST_MPS2: Final = 70.0 * 9.80665
-"""Amplitudes that the grid spans, from what was read to this, m/s2: compartments of cars see 40 to 50 g against a rigid
-barrier at 56 km/h (NHTSA test 10146). A choice."""
-LENGTHS: Final = 40
-STARTS: Final = 16
-AMPLITUDES: Final = 40
-"""Nodes of the grid over length, start (within the first flank's room) and amplitude."""
-BINS: Final = 160
-LOG_LEAST: Final = math.log(0.1)
-LOG_MOST: Final = math.log(100.0)
-"""Bins of the posterior for its quantiles: equal ones of the logarithm, 0.1 to 100 m/s."""
 
 
 @njit(cache=True, nogil=True)
@@ -166,17 +128,28 @@ def core_rows(
 
 @njit(cache=True, nogil=True)
 def widened(
-    t_ns: TimeArray, x: FloatArray, flags: Flags, first: int, last: int, end: int, onset_mps2: float, onset_s: float
-) -> tuple[int, int]:
-    """The rows of a pulse around its core: while the acceleration along its direction exceeds what there was by
-    ``onset_mps2``, by at most ``onset_s`` on either side."""
+    t_ns: TimeArray,
+    x: FloatArray,
+    flags: Flags,
+    first: int,
+    last: int,
+    ends: tuple[int, int],
+    onset_mps2: float,
+    onset_s: float,
+    tail_s: float,
+    after_ns: int,
+) -> tuple[int, int, int]:
+    """The rows of a pulse around its core, by the acceleration along its direction: since and while it exceeds what
+    there was before by ``onset_mps2``, by at most ``onset_s`` on either side and up to the first of ``ends``; and,
+    third, until it has fallen to half of that above what there is afterwards, in the last ``after_ns`` up to the second
+    of ``ends``, by at most ``tail_s``: brakes and tyres go on where the pulse does not."""
     since = (t_ns[last] - t_ns[first]) * 1e-9
     slow_x, slow_y = x[first, SLOW_X], x[first, SLOW_Y]
     ux, uy = x[last, V_X] - x[first, V_X] - slow_x * since, x[last, V_Y] - x[first, V_Y] - slow_y * since
     norm = max(math.hypot(ux, uy), 1e-9)
     ux, uy = ux / norm, uy / norm
     slow = slow_x * ux + slow_y * uy
-    begin, stop = first, last
+    begin, stop, over = first, last, last
     while (
         begin > 0
         and not flags[begin] & GAP
@@ -185,10 +158,24 @@ def widened(
     ):
         begin -= 1
     while (
-        stop < end and (t_ns[stop + 1] - t_ns[last]) * 1e-9 <= onset_s and _along(x, stop, ux, uy) - slow > onset_mps2
+        stop < ends[0]
+        and (t_ns[stop + 1] - t_ns[last]) * 1e-9 <= onset_s
+        and _along(x, stop, ux, uy) - slow > onset_mps2
     ):
         stop += 1
-    return begin, stop
+    after, rows, k = 0.0, 0, ends[1]
+    while k > last and t_ns[ends[1]] - t_ns[k] < after_ns:
+        after += _along(x, k, ux, uy)
+        rows += 1
+        k -= 1
+    after = max(after / rows, 0.0) if rows > 0 else slow
+    while (
+        over < ends[1]
+        and (t_ns[over + 1] - t_ns[last]) * 1e-9 <= tail_s
+        and _along(x, over, ux, uy) - after > 0.5 * onset_mps2
+    ):
+        over += 1
+    return begin, stop, over
 
 
 @njit(cache=True, nogil=True)
@@ -202,17 +189,17 @@ def measure(
     stood: bool,
     friction_mps2: float,
     around_ns: int,
-) -> tuple[float, float, float, float, float, float, float, float, float, bool]:
+) -> tuple[float, float, float, float, float, float, float, float, float, float, bool]:
     """Read a pulse between two rows, with rows up to ``end`` (inclusive) to see what became of it.
 
     Returns
     -------
     dv_x, dv_y (level frame), range of the vertical change within ``around_ns`` of it, share of the largest change that
-    was kept (what friction can take back is no loss), peak, clipped time (s), abruptness, fastest rotation and
-    largest change of it (rad/s), levelled
+    was kept (what friction can take back is no loss), peak, clipped time (s), abruptness, fastest rotation,
+    largest change of it and of roll and pitch alone (rad/s), levelled
     """
     slow_x, slow_y = x[first, SLOW_X], x[first, SLOW_Y]
-    dvx = dvy = clipped_s = largest = peak = rate = jolt = 0.0
+    dvx = dvy = clipped_s = largest = peak = rate = jolt = tip = 0.0
     levelled = False
     for k in range(first + 1, end + 1):
         since = (t_ns[k] - t_ns[first]) * 1e-9
@@ -229,6 +216,7 @@ def measure(
         rate = max(rate, math.sqrt(p * p + q * q + r * r))
         p, q, r = p - x[first, ROLL_RATE], q - x[first, PITCH_RATE], r - x[first, YAW_RATE]
         jolt = max(jolt, math.sqrt(p * p + q * q + r * r))
+        tip = max(tip, math.sqrt(p * p + q * q))
     for k in range(first + 1, last + 1):
         if flags[k] & CLIPPED and _along(x, k, dvx, dvy) > 0.0:
             clipped_s += (t_ns[k] - t_ns[k - 1]) * 1e-9
@@ -247,7 +235,7 @@ def measure(
     for k in range(begin, end + 1):
         low, high = min(low, x[k, V_Z] - x[first, V_Z]), max(high, x[k, V_Z] - x[first, V_Z])
     abrupt = _abruptness(x, first, last, end, slow_x, slow_y, high - low, math.hypot(dvx, dvy))
-    return dvx, dvy, high - low, kept, peak, clipped_s, abrupt, rate, jolt, levelled
+    return dvx, dvy, high - low, kept, peak, clipped_s, abrupt, rate, jolt, tip, levelled
 
 
 @njit(cache=True, nogil=True)
@@ -270,11 +258,12 @@ def _abruptness(
         enter += 1
     while leave > enter and math.hypot(x[leave, A_X] - slow_x, x[leave, A_Y] - slow_y) < 0.3 * peak:
         leave -= 1
-    lowest, varied = math.inf, False
+    lowest, varied, clipped = math.inf, False, False
     for k in range(enter, leave + 1):
+        clipped = clipped or x[k, CLIP_S] > 0.0
         a = math.hypot(x[k, A_X] - slow_x, x[k, A_Y] - slow_y)
         lowest, varied = min(lowest, a), varied or a < 0.8 * peak
-    if varied and lowest > 0.12 * peak:
+    if varied and lowest > 0.12 * peak and leave >= enter + 2:  # two samples may fail side by side
         return 1.0
     if leave + 1 >= end:
         if frozen > 1 and 2 * frozen > last - first:
@@ -282,118 +271,30 @@ def _abruptness(
         if swing_mps > max(SHAKEN_MPS, SHAKEN * change_mps):
             return 1.0
     beside = 0.0
-    for k in (enter - 1, leave + 1):
-        if 0 <= k <= end:
-            ax, ay = x[k, A_X] - slow_x, x[k, A_Y] - slow_y
-            beside = max(beside, math.sqrt(ax * ax + ay * ay + x[k, A_Z] * x[k, A_Z]))
+    for way, edge in ((-1, enter), (1, leave)):
+        # The quieter of two: a converter that fails may do so in two steps, a body rings on. A blow beyond the full
+        # scale has but one sample of flank.
+        near = math.inf
+        for k in (edge + way, edge + 2 * way):
+            if 0 <= k <= end and (k == edge + way or not clipped):
+                # With what there was or without: spikes before make a mean that nothing moved by.
+                level = min(math.hypot(x[k, A_X] - slow_x, x[k, A_Y] - slow_y), math.hypot(x[k, A_X], x[k, A_Y]))
+                near = min(near, math.hypot(level, x[k, A_Z]))
+        if near < math.inf:
+            beside = max(beside, near)
     return beside / max(peak, 1e-9)
 
 
 @njit(cache=True, nogil=True)
-def fit_clipped(
-    t_ns: TimeArray, x: FloatArray, flags: Flags, first: int, last: int, ux: float, uy: float
-) -> tuple[float, float, float, float, float, float, float]:
-    """Mean, sd, 2.5 and 97.5 % quantiles of the change of velocity (m/s), mean length (s) and direction of a clipped
-    pulse along (ux, uy).
-
-    Clipping one axis and not the other turns the readings away from the pulse's direction, so the flanks give it.
-
-    Posterior over a grid of half-sines and haversines, a(t) = A sin(pi (t - t0) / T) to the power 1 or 2, the two
-    shapes between which crash pulses lie: unclipped samples are compared with it, clipped ones only say
-    that it was at least so much. A is uniform in its logarithm, T and the change of
-    velocity A T / 2 have the priors above.
-    """
-    level, run = 1.0, first
-    clip_first, clip_last = first, first  # the longest run of clipped samples that push the pulse's own way
-    for k in range(first, last + 1):
-        if not flags[k] & CLIPPED or _along(x, k, ux, uy) <= 0.0:
-            run = k + 1
-            continue
-        level = max(level, _along(x, k, ux, uy))
-        if t_ns[k] - t_ns[run] >= t_ns[clip_last] - t_ns[clip_first]:
-            clip_first, clip_last = run, k
-    clipped_s = (t_ns[clip_last] - t_ns[clip_first]) * 1e-9
-    begin, end = clip_first, clip_last  # the flanks, as long as they fall away from what clipped
-    while begin > first and _along(x, begin - 1, ux, uy) < _along(x, begin, ux, uy):
-        begin -= 1
-    while end < last and _along(x, end + 1, ux, uy) < _along(x, end, ux, uy):
-        end += 1
-    flank_x = flank_y = 0.0
-    for k in range(begin, end + 1):
-        if not flags[k] & CLIPPED:
-            flank_x += x[k, A_X]
-            flank_y += x[k, A_Y]
-    flank = math.hypot(flank_x, flank_y)
-    if flank_x * ux + flank_y * uy > 0.5 * flank and flank >= FLANK_MPS2:
-        ux, uy = flank_x / flank, flank_y / flank
-    n = end - begin + 1
-    time, value, shape = np.empty(n), np.empty(n), np.empty(n)
-    hidden_s = 0.0
-    for k in range(n):
-        time[k] = (t_ns[begin + k] - t_ns[clip_first]) * 1e-9
-        value[k] = _along(x, begin + k, ux, uy)
-        if k > 0 and flags[begin + k] & CLIPPED:
-            hidden_s += time[k] - time[k - 1]
-    spacing_s = (t_ns[last] - t_ns[first]) * 1e-9 / max(last - first, 1)
-    weight_of_one = min(1.0, spacing_s / MISFIT_S)
-    room = max(-time[0], 1e-3) + 0.5 * spacing_s
-    longest = max(LONGEST_S, 2.0 * clipped_s)
-    strongest = max(STRONGEST_MPS2 / level, 1.5)
-
-    weights = np.zeros(BINS)
-    best = math.inf
-    for stage in range(2):  # first the smallest cost, then the sums, so that exp() never overflows
-        total = sum_v = sum_vv = sum_t = 0.0
-        weights[:] = 0.0
-        for i in range(LENGTHS):
-            length = SHORTEST_S * (longest / SHORTEST_S) ** (i / (LENGTHS - 1))
-            if length < clipped_s:
-                continue
-            prior = (math.log(length / PULSE_MEDIAN_S) / PULSE_LOG_SD) ** 2
-            for j in range(STARTS):
-                start = -room * (j + 0.5) / STARTS
-                for power in range(1, 3):
-                    for k in range(n):
-                        phase = (time[k] - start) / length
-                        shape[k] = math.sin(math.pi * phase) ** power if 0.0 < phase < 1.0 else 0.0
-                    area = 2.0 / math.pi if power == 1 else 0.5
-                    for m in range(AMPLITUDES):
-                        amplitude = level * strongest ** (m / (AMPLITUDES - 1))
-                        delta_v = area * amplitude * length
-                        cost = prior + (math.log(delta_v / DELTA_V_MEDIAN_MPS) / DELTA_V_LOG_SD) ** 2
-                        for k in range(n):
-                            off = value[k] - amplitude * shape[k]
-                            if off > 0.0 or not flags[begin + k] & CLIPPED:
-                                cost += weight_of_one * (off / (MISFIT * level)) ** 2
-                        if stage == 0:
-                            best = min(best, cost)
-                        else:
-                            weight = math.exp(-0.5 * (cost - best))
-                            total += weight
-                            place = (math.log(delta_v) - LOG_LEAST) / (LOG_MOST - LOG_LEAST) * BINS
-                            weights[min(max(int(place), 0), BINS - 1)] += weight
-                            sum_v += weight * delta_v
-                            sum_vv += weight * delta_v * delta_v
-                            sum_t += weight * length
-    mean = sum_v / total
-    misfit = MISFIT * level * hidden_s  # the flanks' misfit again, over what no flank shows
-    sd = math.sqrt(max(sum_vv / total - mean * mean, 0.0) + misfit * misfit)
-    low, high = _quantile(weights, 0.025 * total), _quantile(weights, 0.975 * total)
-    low = mean - math.hypot(mean - low, 1.96 * misfit)
-    high = mean + math.hypot(high - mean, 1.96 * misfit)
-    return mean, sd, low, high, sum_t / total, ux, uy
-
-
-@njit(cache=True, nogil=True)
-def _quantile(weights: FloatArray, share: float) -> float:
-    """Change of velocity, m/s, up to which the weights of the bins sum to ``share``."""
-    below = 0.0
-    for k in range(BINS):
-        if below + weights[k] >= share:
-            inside = (share - below) / max(weights[k], 1e-300)
-            return math.exp(LOG_LEAST + (LOG_MOST - LOG_LEAST) * (k + inside) / BINS)
-        below += weights[k]
-    return math.exp(LOG_MOST)
+def hangs(x: FloatArray, first: int, last: int) -> bool:
+    """Whether an axis reads its full scale between two rows and the others hardly move: a blow would shake them."""
+    clipped = held = 0
+    for k in range(first + 1, last + 1):
+        if x[k, CLIP_S] > 0.0 and x[k - 1, CLIP_S] > 0.0:
+            clipped += 1
+            if abs(x[k, FORCE] - x[k - 1, FORCE]) < HELD * x[k, FORCE]:
+                held += 1
+    return x[last, CLIP_S] > 0.0 and 2 * held >= clipped
 
 
 def read_pulse(
@@ -401,45 +302,42 @@ def read_pulse(
     x: FloatArray,
     flags: Flags,
     start: int,
-    end: int,
+    ends: tuple[int, int],
     trigger: TriggerThresholds,
     limits: PulseThresholds,
 ) -> Pulse:
-    """A suspected pulse from row ``start``, seen up to row ``end``, turned into forward and right at its start."""
+    """A suspected pulse from row ``start``, turned into forward and right at its start. What speaks for and against it
+    is looked for up to the first of ``ends``, its end up to the second."""
     reach = (trigger.tyre_mps2, trigger.standing_mps2, trigger.jerk_mps3)
-    core_first, core_last, most = core_rows(t_ns, x, start, end, trigger.rest_s, reach)
-    first, last = widened(t_ns, x, flags, core_first, core_last, end, limits.onset_mps2, limits.onset_s)
+    core_first, core_last, most = core_rows(t_ns, x, start, ends[0], trigger.rest_s, reach)
+    first, last, over = widened(
+        t_ns, x, flags, core_first, core_last, ends, limits.onset_mps2, limits.onset_s, limits.tail_s,
+        round(trigger.settled_s * 1e9),
+    )  # fmt: skip
     stood = bool(x[core_first, REST_S] >= trigger.rest_s)
-    dvx, dvy, swing, kept, peak, clipped_s, abrupt, rate, jolt, levelled = measure(
-        t_ns, x, flags, first, last, end, stood, limits.friction_mps2, round(limits.around_s * 1e9)
+    dvx, dvy, swing, kept, peak, clipped_s, abrupt, rate, jolt, tip, levelled = measure(
+        t_ns, x, flags, first, last, ends[0], stood, limits.friction_mps2, round(limits.around_s * 1e9)
     )
     cos, sin = float(x[first, HEADING_COS]), float(x[first, HEADING_SIN])
+    vx, vy = float(x[over, V_X] - x[first, V_X]), float(x[over, V_Y] - x[first, V_Y])
     return Pulse(
         first=first,
-        last=last,
-        forward_mps=dvx * cos + dvy * sin,
-        right_mps=-dvx * sin + dvy * cos,
+        last=over,
+        forward_mps=vx * cos + vy * sin,
+        right_mps=-vx * sin + vy * cos,
+        felt_mps=math.hypot(dvx, dvy),
+        felt_s=float(t_ns[last] - t_ns[first]) * 1e-9,
         beyond_mps=most,
         swing_mps=swing,
         retained=kept,
         peak_mps2=peak,
-        duration_s=float(t_ns[last] - t_ns[first]) * 1e-9,
+        duration_s=float(t_ns[over] - t_ns[first]) * 1e-9,
         clipped_s=clipped_s,
-        clipping_s=float(x[first : end + 1, CLIP_S].max()),
+        clipping_s=float(x[first : ends[0] + 1, CLIP_S].max()),
         abrupt=abrupt,
         rate_radps=rate,
         jolt_radps=jolt,
+        tip_radps=tip,
         levelled=levelled,
         stood=stood,
     )
-
-
-def unclip(t_ns: TimeArray, x: FloatArray, flags: Flags, pulse: Pulse) -> Whole:
-    """The whole pulse behind a clipped one."""
-    cos, sin = float(x[pulse.first, HEADING_COS]), float(x[pulse.first, HEADING_SIN])
-    norm = math.hypot(pulse.forward_mps, pulse.right_mps)
-    forward, right = pulse.forward_mps / norm, pulse.right_mps / norm
-    ux, uy = forward * cos - right * sin, forward * sin + right * cos
-    delta_v, sd, low, high, duration_s, ux, uy = fit_clipped(t_ns, x, flags, pulse.first, pulse.last, ux, uy)
-    seen = min(norm, delta_v)  # so much was read without guessing
-    return Whole(delta_v, sd, max(low, seen), high, duration_s, forward=ux * cos + uy * sin, right=-ux * sin + uy * cos)

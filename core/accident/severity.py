@@ -29,13 +29,12 @@ def force_direction_deg(forward_mps: float, right_mps: float) -> float:
 
 
 def force_direction_sd_deg(
-    delta_v_mps: float, across_sd_mps: float, thresholds: PulseThresholds, *, clipped: bool
+    delta_v_mps: float, across_sd_mps: float, thresholds: PulseThresholds, hidden_rad: float = 0.0
 ) -> float:
     """Spread of the direction: what errs across the change of velocity, how the box sits, and what clipping
     hides of it; at most uniform."""
     across = math.atan2(across_sd_mps, max(delta_v_mps, 1e-3))
-    hidden_deg = thresholds.clipped_direction_sd_deg if clipped else 0.0
-    return min(math.hypot(math.degrees(math.hypot(across, thresholds.yaw_sd_rad)), hidden_deg), UNIFORM_DEG)
+    return min(math.degrees(math.hypot(across, thresholds.yaw_sd_rad, hidden_rad)), UNIFORM_DEG)
 
 
 UNIFORM_DEG: Final = 360.0 / math.sqrt(12.0)

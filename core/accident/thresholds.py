@@ -145,8 +145,11 @@ class TriggerThresholds(Tunables):
     settled_s: float = tunable(
         0.04, unit="s", low=0.005, high=0.2, source="choice: a pulse is over when so long below tyre_mps2"
     )
+    told_settled_s: float = tunable(
+        0.06, unit="s", low=0.005, high=0.3, source="choice: once told, the end of its flank is waited for"
+    )
     tell_s: float = tunable(
-        0.11, unit="s", low=0.03, high=0.5, source="choice: suspected within 150 ms of contact, onset included"
+        0.085, unit="s", low=0.03, high=0.5, source="choice: suspected within 150 ms of contact, onset included"
     )
     decide_s: float = tunable(
         0.3, unit="s", low=0.1, high=0.6, source="49 CFR 563.7, table I: the maximum change is looked for within 300 ms"
@@ -196,6 +199,9 @@ class PulseThresholds(Tunables):
     onset_s: float = tunable(
         0.06, unit="s", low=0.0, high=0.2, source="choice: flanks within reach of a pulse of 60-200 ms, at most"
     )
+    tail_s: float = tunable(
+        0.15, unit="s", low=0.0, high=0.5, source="choice: the falling flank of a pulse of 0.35 s within tyres' reach"
+    )
     friction_mps2: float = tunable(
         8.0, unit="m/s2", low=2.0, high=12.0, source="choice, 0.8 g: braked wheels take back what pushed a standing car"
     )
@@ -218,13 +224,6 @@ class PulseThresholds(Tunables):
     yaw_sd_rad: float = tunable(
         0.05, unit="rad", low=0.001, high=0.5, source="choice, 3 deg: yaw of the box in the vehicle"
     )
-    clipped_direction_sd_deg: float = tunable(
-        20.0,
-        unit="deg",
-        low=0.0,
-        high=90.0,
-        source="two thirds of simulated clipped pulses are told within it (bench --accidents --part corpus)",
-    )
     noise_sd_mps: float = tunable(
         0.1, unit="m/s", low=0.001, high=2.0, source="choice: road and body vibration on an integrated pulse"
     )
@@ -238,7 +237,7 @@ class JudgementThresholds(Tunables):
         0.5, unit="1", low=0.05, high=0.99, source="choice: told when an accident is likelier than not"
     )
     tell_early: float = tunable(
-        0.93, unit="1", low=0.5, high=0.999, source="choice: what is not over yet is told only where it is plain"
+        0.85, unit="1", low=0.5, high=0.999, source="choice: what is not over yet is told only where it is plain"
     )
     retract: float = tunable(
         0.3, unit="1", low=0.0, high=0.9, source="choice: below tell, so that what is told does not flicker"
@@ -250,6 +249,9 @@ class JudgementThresholds(Tunables):
         high=20.0,
         source="fitted to simulated cases, less 1.4: accidents are rarer than there",
     )
+    told_slope: float = tunable(
+        1.75, unit="1", low=0.1, high=10.0, source="fitted to the corpus' accidents and 25 000 km of long drives"
+    )
     beyond_mps: float = tunable(
         0.8, unit="m/s", low=0.05, high=5.0, source="choice: where the logarithm of the change beyond reach is zero"
     )
@@ -258,19 +260,27 @@ class JudgementThresholds(Tunables):
         0.6, unit="1", low=0.0, high=5.0, source="choice: crashes heave and pitch a car less"
     )
     vertical: float = tunable(7.7, unit="1", low=0.0, high=50.0, source="fitted to simulated cases")
+    lifted_from: float = tunable(
+        0.7,
+        unit="1",
+        low=0.0,
+        high=5.0,
+        source="simulated: 0.7 rad/s and m/s a m/s and less in 99 % of crashes, more where wheels or hands lift a box",
+    )
+    lifted: float = tunable(14.0, unit="1", low=0.0, high=50.0, source="fitted to simulated cases")
     retained_from: float = tunable(0.75, unit="1", low=0.0, high=1.0, source="choice: rebound takes back a quarter")
     retained: float = tunable(
         9.0, unit="1", low=0.0, high=50.0, source="choice: simulated cases hardly tell, recorded shocks swing back"
     )
     short_s: float = tunable(
-        0.05, unit="s", low=0.01, high=0.2, source="choice: crash pulses of cars last longer, see PULSE_MEDIAN_S"
+        0.08, unit="s", low=0.01, high=0.2, source="choice: weak crash pulses of cars last longer, see clipping.py"
     )
     short: float = tunable(10.0, unit="1", low=0.0, high=50.0, source="fitted to simulated cases (13)")
     long_s: float = tunable(
         0.15, unit="s", low=0.05, high=1.0, source="choice: longer than most crash pulses, and than a foot takes"
     )
     long: float = tunable(
-        4.5, unit="1", low=0.0, high=50.0, source="fitted to simulated cases (3.4); more, for brakes on rough roads"
+        5.0, unit="1", low=0.0, high=50.0, source="fitted to simulated cases (3.4); more, for brakes on rough roads"
     )
     rotation_radps: float = tunable(
         7.0,
@@ -285,6 +295,15 @@ class JudgementThresholds(Tunables):
     )
     abrupt_radps: float = tunable(
         0.15, unit="rad/s", low=0.0, high=2.0, source="choice: blows turn a car, if only by its springs"
+    )
+    glitch_s: float = tunable(
+        0.05, unit="s", low=0.0, high=0.2, source="choice: stiff crashes last longer, also where no gyroscope tells"
+    )
+    sharp_share: float = tunable(
+        0.08, unit="1", low=0.0, high=0.5, source="simulated: no crash behind a low-pass falls below 0.19"
+    )
+    sharp_radps: float = tunable(
+        0.5, unit="rad/s", low=0.0, high=5.0, source="choice: rough roads turn a car by less meanwhile"
     )
     unturned_radps: float = tunable(
         0.05,
@@ -301,6 +320,15 @@ class JudgementThresholds(Tunables):
     )
     crawl_share: float = tunable(
         1.4, unit="1", low=1.0, high=3.0, source="choice: stopping takes the speed, rolling back a third of it more"
+    )
+    crawl_sds: float = tunable(
+        2.0, unit="1", low=0.0, high=5.0, source="choice: of the speed's own error, one case in 40"
+    )
+    crawl_aside: float = tunable(
+        0.6, unit="1", low=0.0, high=1.0, source="choice: a kerb stone stops a car along its way, within 37 deg"
+    )
+    speed_sd_mps: float = tunable(
+        0.1, unit="m/s", low=0.0, high=2.0, source="measured (bench --accidents --part errors): RMS 0.07 m/s"
     )
     crawl: float = tunable(
         4.0, unit="1", low=0.0, high=20.0, source="choice: kerb stones are met far oftener than cars"
@@ -351,6 +379,46 @@ class AftermathThresholds(Tunables):
     )
     grouping_s: float = tunable(
         5.0, unit="s", low=0.5, high=60.0, source="49 CFR 563.5: events within 5 s are one accident's"
+    )
+    bias_s: float = tunable(
+        2.0,
+        unit="s",
+        low=0.5,
+        high=2.4,
+        source="choice: rest over which an accelerometer's error is read",
+    )
+    rest_error_mps2: float = tunable(
+        0.08,
+        unit="m/s2",
+        low=0.005,
+        high=0.5,
+        source="simulated: what is left of it in motion; spinning cars turn it",
+    )
+    error_mps2: float = tunable(
+        0.12,
+        unit="m/s2",
+        low=0.01,
+        high=1.0,
+        source="simulated: bias and 0.25 deg of tilt, where no rest tells",
+    )
+    speed_sd_mps: float = tunable(
+        0.15,
+        unit="m/s",
+        low=0.01,
+        high=2.0,
+        source="measured (bench --accidents --part errors): RMS 0.07, doubled",
+    )
+    rolling_mps: float = tunable(
+        2.0, unit="m/s", low=0.5, high=10.0, source="choice: slower, a car may as well be pushed backwards"
+    )
+    outside_mps2: float = tunable(
+        20.0, unit="m/s2", low=1.0, high=500.0, source="choice: 2 g, where boxes clip that do"
+    )
+    contradiction: float = tunable(
+        6.0, unit="1", low=2.0, high=100.0, source="chi-square of 2 at 1 in 20: beyond, assumed shapes were wrong"
+    )
+    read_share: float = tunable(
+        0.8, unit="1", low=0.0, high=1.0, source="choice: clipping only hides; less than was read is no measurement"
     )
     parked_s: float = tunable(
         180.0, unit="s", low=10.0, high=3600.0, source="choice: longer than traffic lights and most queues stand"

@@ -13,6 +13,7 @@ from core.accident.level import (
     A_X,
     A_Y,
     A_Z,
+    CLIPPED,
     FORCE,
     GAP,
     HEADING_COS,
@@ -58,14 +59,17 @@ NEVER: Final = -(1 << 61)
 
 (PULSE, START, SUSPECTED, HOT, FLOOR, SEEN_EARLY, RESTED, SHOCK_START, SHOCK_LAST, SHOCKS) = range(10)
 (HARD_SINCE, HARD_UNTIL, TILTED, TILT_SEEN, FALL_SINCE, FELL, OPEN, OPEN_FROM, OPEN_UNTIL, MOVED) = range(10, 20)
-(LEAN_SINCE, LEAN_LAST, LEANS, UPRIGHT_AGAIN, LEAN_TOLD) = range(20, 25)
-REGISTERS: Final = 25
+(LEAN_SINCE, LEAN_LAST, LEANS, UPRIGHT_AGAIN, LEAN_TOLD, CLIPPED_NS, GAPS, SETTLED, MOVED_BEFORE) = range(20, 29)
+REGISTERS: Final = 29
 """Registers, int64. Of a suspected pulse: whether there is one, its start and when it was suspected, the last sample
 beyond reach, the time windows may not begin before, how often it was looked at. When the vehicle stood last.
 Of shocks: the first, the last, how many. Since and until when driving was hard. Since when it lies on its side, and
 whether that was seen. Since when the box falls, and when it last had fallen for ``fall_s``. Of the open accident:
 whether there is one, from and until when it is followed; and when the vehicle moved last. Since and until when a parked
-vehicle leans, how often, whether it was upright since, and whether that was told."""
+vehicle leans, how often, whether it was upright since, and whether that was told. For how long samples were clipped
+in the horizontal plane, and how often the series broke off, since it began.
+When a told pulse settled; the end of its flank is then waited for.
+When the vehicle had moved last before it stood last."""
 
 (LEAST_SPEED, MOST_ROUGH, TURNED, LONGEST_REST, HARD_X, HARD_Y) = range(6)
 MARKS: Final = 6
@@ -76,16 +80,18 @@ right, m/s2."""
 
 SHAKEN_NS: Final = 2_500_000_000
 """How long an accident's own shaking lasts in the mean of a second, ns; what shakes later is the ground. A choice."""
-LOOKS: Final = 3
+TOLD: Final = 99
+"""In place of the looks where one of them told it."""
+LOOKS: Final = 5
 LOOK_NS: Final = 12_000_000
-"""How often a pulse that goes on is looked at before it is over, and how far apart, ns: up to 135 ms from its start.
+"""How often a pulse that goes on is looked at before it is over, and how far apart, ns: up to 133 ms from its start.
 A choice."""
 
 
 def fresh_registers() -> TimeArray:
     """Registers of a vehicle of which nothing is known."""
     registers = np.full(REGISTERS, NEVER, dtype=np.int64)
-    registers[[PULSE, SEEN_EARLY, SHOCKS, TILT_SEEN, OPEN, LEANS, UPRIGHT_AGAIN, LEAN_TOLD]] = 0
+    registers[[PULSE, SEEN_EARLY, SHOCKS, TILT_SEEN, OPEN, LEANS, UPRIGHT_AGAIN, LEAN_TOLD, CLIPPED_NS, GAPS]] = 0
     return registers
 
 
@@ -95,7 +101,7 @@ def times_ns(trigger: TriggerThresholds, aftermath: AftermathThresholds) -> Time
         trigger.shortest_s, trigger.longest_s, trigger.settled_s, trigger.tell_s, trigger.decide_s,
         trigger.slow_decide_s, trigger.rest_s, trigger.shock_apart_s, trigger.shock_quiet_s, trigger.shock_longest_s,
         trigger.hard_s, trigger.fall_s, trigger.tilt_s, aftermath.rest_s, trigger.lean_parked_s, trigger.lean_quiet_s,
-        trigger.lean_longest_s,
+        trigger.lean_longest_s, trigger.told_settled_s,
     )  # fmt: skip
     return np.array([round(span_s * 1e9) for span_s in spans_s], dtype=np.int64)
 
@@ -134,17 +140,23 @@ def scan(
     """
     shortest, longest, settled, tell, decide, slow_decide, rest = spans_ns[:7]
     apart, quiet, longest_shocks, hard_for, fall_for, tilt_for, open_rest = spans_ns[7:14]
-    parked, lean_quiet, lean_longest = spans_ns[14:]
+    parked, lean_quiet, lean_longest, told_settled = spans_ns[14:]
     tyre, margin, standing, standing_margin, jerk, hot, shock, hard, fall, tilt_cos, lean_cos, upright_cos = limits
     while row < t_ns.shape[0]:
         now = t_ns[row]
         gap = flags[row] & GAP
+        if gap:
+            registers[GAPS] += 1
+        elif flags[row] & CLIPPED:
+            registers[CLIPPED_NS] += now - t_ns[row - 1]
         a2 = x[row, A_X] * x[row, A_X] + x[row, A_Y] * x[row, A_Y]
         if registers[OPEN] and not gap:
             _follow(t_ns, x, row, registers[OPEN_FROM], marks)
         if x[row, REST_S] * 1e9 >= rest:
             registers[RESTED] = now
         elif not x[row, SPEED] < 0.5:
+            if registers[RESTED] > registers[MOVED]:
+                registers[MOVED_BEFORE] = registers[MOVED]
             registers[MOVED] = now
         _watch(x, row, now, gap, a2, registers, marks, apart, shock, hard, fall, fall_for, tilt_cos)
 
@@ -154,8 +166,15 @@ def scan(
             if gap:  # what came after the silence says nothing about the pulse
                 return row, row - 1, 2
             latest = max(registers[START] + decide, registers[SUSPECTED] + slow_decide)
-            if now - registers[HOT] >= settled or now >= latest:
-                return row, row, 2
+            if registers[SETTLED] == NEVER and (now - registers[HOT] >= settled or now >= latest):
+                if registers[SEEN_EARLY] != TOLD:
+                    return row, row, 2
+                registers[SETTLED] = now  # nobody waits for it any more
+            if registers[SETTLED] != NEVER and (registers[HOT] == now or now - registers[SETTLED] >= told_settled):
+                evidence = row
+                while t_ns[evidence] > registers[SETTLED]:
+                    evidence -= 1
+                return row, evidence, 2
             if registers[SEEN_EARLY] < LOOKS and now - registers[START] >= tell + registers[SEEN_EARLY] * LOOK_NS:
                 registers[SEEN_EARLY] += 1
                 return row, row, 1
@@ -176,7 +195,7 @@ def scan(
                     if excess > most:
                         most = excess
                         registers[PULSE], registers[SUSPECTED], registers[START] = 1, now, t_ns[back]
-                        registers[SEEN_EARLY] = 0
+                        registers[SEEN_EARLY], registers[SETTLED] = 0, NEVER
                 if flags[back] & GAP:
                     break
                 back -= 1

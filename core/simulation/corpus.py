@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from core.accident.events import VehicleMotion
+from core.accident.pulse import beyond, unexplained
+from core.accident.thresholds import TriggerThresholds
 from core.measurements import FloatArray
 from core.simulation.accident_classes import CLASSES
 from core.simulation.body_motion import BodyMotion, band_noise
@@ -16,12 +19,15 @@ from core.simulation.collisions import Collision, Truth, collide
 from core.simulation.disturbances import Disturbance, NonAccident
 from core.simulation.handling import SOURCES
 from core.simulation.ride import FINE_HZ
+from core.simulation.trajectory import matrices_b_from_n, rotate
 
 START_T_NS: Final = 1_714_984_200_000_000_000
 LEAD_S: Final = 12.0
 """Before what happens, s: a detector knows its past by then."""
 TAIL_S: Final = 12.0
 """After it, s: until it would have been told, and rest or driving on was seen."""
+IN_TIME_S: Final = 0.15
+"""Within what an accident is to be suspected, s (issue 5)."""
 IGNITION_KNOWN: Final = 0.7
 """Share of boxes that are told whether the ignition is on. A choice."""
 ROAD_SHAKE_MPS2: Final = (0.25, 1.6)
@@ -31,13 +37,15 @@ ROAD_SHAKE_MPS2: Final = (0.25, 1.6)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AccidentCase:
-    """An accident as a detector is given it. ``t_ns`` is the first blow's start."""
+    """An accident as a detector is given it. ``t_ns`` is the first blow's start, ``excess_mps`` by how much the true
+    motion exceeds what tyres, pedals and steering can, ``IN_TIME_S`` after it."""
 
     seed: int
     motion: VehicleMotion
     box: Box
     truth: Truth
     t_ns: int
+    excess_mps: float
 
     @property
     def clipped(self) -> bool:
@@ -70,12 +78,33 @@ def shown(collision: Collision, rng: np.random.Generator, seed: int, box: Box, l
     """A collision as a box and a filter show it."""
     last_s = max(blow.after_s for blow in collision.blows)
     motion, truth = collide(collision, rng, lead_s, last_s + TAIL_S)
+    excess_mps = _excess_mps(motion, round(truth.t_s * FINE_HZ), stood=collision.speed_mps == 0.0)
     motion = on_a_road(motion, rng, collision.ignition)
     aligned_after_s = 2.0 * lead_s + 100.0 if rng.random() < 0.05 else 0.0
     ignition = collision.ignition if rng.random() < IGNITION_KNOWN else None
     given = seen(motion, box, rng, START_T_NS, aligned_after_s, ignition)
     t_ns = START_T_NS + round(truth.t_s * 1e9)
-    return AccidentCase(seed, given, box, truth, t_ns)
+    return AccidentCase(seed, given, box, truth, t_ns, excess_mps)
+
+
+def _excess_mps(motion: BodyMotion, row: int, *, stood: bool) -> float:
+    """By how much a motion exceeds tyres' reach, in any window within ``IN_TIME_S`` from a row on, free of noise."""
+    limits, count, step = TriggerThresholds(), round(IN_TIME_S * FINE_HZ), round(FINE_HZ / 200.0)
+    rows = slice(row, row + count + 1)
+    turn = np.swapaxes(matrices_b_from_n(motion.rpy_rad[rows]), 1, 2)
+    accel = (motion.accel_n[rows] + rotate(turn, motion.shake_b[rows]))[:, :2]
+    slow = motion.accel_n[row - round(0.3 * FINE_HZ) : row, :2].mean(axis=0)
+    v = np.vstack([np.zeros(2), np.cumsum(accel, axis=0)])[::step] / FINE_HZ
+    most = 0.0
+    for i in range(len(v)):
+        for j in range(i + 1, len(v)):
+            w, (x, y) = (j - i) * step / FINE_HZ, v[j] - v[i]
+            if w < limits.shortest_s:
+                continue
+            own = unexplained(x, y, slow[0] * w, slow[1] * w)
+            reach = limits.tyre_mps2, limits.standing_mps2, limits.jerk_mps3
+            most = max(most, beyond(math.hypot(x, y), own, w, stood, *reach))
+    return float(most)
 
 
 def quiet_case(

@@ -57,7 +57,8 @@ def _judge(job: tuple[str, int, int]) -> dict[str, tuple[list[Any], list[Any]]]:
             accident = accident_case(name, seed)
             for detector, (told, _) in found.items():
                 heard = listen(detector, [accident.motion])
-                told.append(accident_record(accident.truth, accident.t_ns, accident.clipped, *heard) | {"seed": seed})
+                record = accident_record(accident.truth, accident.t_ns, accident.clipped, *heard)
+                told.append(record | {"seed": seed, "excess_mps": accident.excess_mps})
         else:
             case = quiet_case(NonAccident(name), seed)
             for detector, (_, silent) in found.items():

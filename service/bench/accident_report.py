@@ -93,6 +93,12 @@ def _described(name: str, one: Mapping[str, Any]) -> Iterable[str]:
         f" {_percent(direction['clipped_beyond_15_deg'])} of the clipped); told after {_three(delay['delay_s'], 3)} s,"
         f" {_percent(delay['beyond_150_ms'])} later than 150 ms"
     )
+    if (late := delay.get("late")) is not None:
+        yield (
+            f"  {name}: {late['count']} later than 150 ms: by then the true motion exceeded what tyres and brakes can by"
+            f" {_three(late['excess_mps'], 2)} m/s; by less than is suspected in {late['within_margin']}, by less than"
+            f" speaks for an accident ({late['likely_mps']:.2f}) in {late['below_likely']}"
+        )
 
 
 def _reliable(found: Mapping[str, Any]) -> Iterable[str]:

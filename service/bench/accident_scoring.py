@@ -14,6 +14,7 @@ from scipy.stats import beta, chi2
 from core.accident.detector import ImpactDetector
 from core.accident.events import Candidate, Impact, NoAccident, Status, VehicleMotion
 from core.accident.paper_rule import PaperRule
+from core.accident.thresholds import JudgementThresholds, TriggerThresholds
 from core.simulation.accident_classes import LOW_SPEED_MPS
 from core.simulation.collisions import Truth
 from core.simulation.disturbances import NonAccident
@@ -182,9 +183,28 @@ def accident_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "clipped_beyond_15_deg": _mean([one["direction_error_deg"] > 15.0 for one in clipped]),
             "error_deg": _spread(directions),
         },
-        "delay": {"beyond_150_ms": _mean(delays > 0.150), "delay_s": _spread(delays)},
+        "delay": {"beyond_150_ms": _mean(delays > 0.150), "delay_s": _spread(delays), "late": _late(found)},
         "rollovers_named": _mean([one["rollover_told"] for one in rolled]),
         "parked_hits_named": _mean([one["kind_told"] == "parked_hit" for one in found if one["kind"] == "parked_hit"]),
+    }
+
+
+def _late(found: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Of those told later than 150 ms, how many had not yet moved, free of noise, as brakes and tyres cannot.
+
+    ``within_margin``: by less than is suspected at all; ``below_likely``: by less than speaks for an accident.
+    """
+    excess = np.array([one["excess_mps"] for one in found if one["delay_s"] > 0.150 and "excess_mps" in one])
+    if not excess.size:
+        return None
+    trigger, judgement = TriggerThresholds(), JudgementThresholds()
+    likely_mps = judgement.beyond_mps * math.exp(-judgement.base / judgement.beyond)
+    return {
+        "count": excess.size,
+        "excess_mps": _spread(excess),
+        "within_margin": int(np.sum(excess < trigger.margin_mps)),
+        "below_likely": int(np.sum(excess < likely_mps)),
+        "likely_mps": likely_mps,
     }
 
 

@@ -203,7 +203,7 @@ def test_an_accident_is_suspected_within_150_ms_and_confirmed_by_the_rest_that_f
 def test_a_weak_impact_after_which_the_car_drives_on_as_before_is_retracted_with_a_candidate():
     motion = drive((IMPACT_S, -1.1, 0.0, 0.0, 0.1), seconds=20.0)
     (revisions,) = told(motion)
-    assert revisions[0].confidence < 0.9
+    assert revisions[0].confidence < 0.95
     assert revisions[-1].status is Status.RETRACTED
     assert NoAccident.UNEXPLAINED in named(motion)
 
@@ -263,7 +263,41 @@ def test_an_airbag_flag_counts_wherever_packets_are_cut(rises_s):
     impacts = detector.step(dataclasses.replace(before, flags=0)).impacts
     for part in np.array_split(np.arange(len(after.t_ns)), 5):
         impacts += detector.step(dataclasses.replace(take(after, part), flags=FLAG_AIRBAG)).impacts
-    assert sum("airbag deployed" in one.reasons for one in impacts) == 1
+    told = ["airbag deployed" in one.reasons for one in impacts]
+    assert any(told)
+    assert told == sorted(told)  # once it is known every later revision says so
+    assert len({one.t_ns for one in impacts}) == 1
+
+
+def test_an_airbag_without_a_pulse_is_suspected_and_what_it_struck_belongs_to_it():
+    motion = drive((IMPACT_S, -6.0, 0.0, 0.0, 0.12), seconds=8.0)
+    t_s = (motion.t_ns - EPOCH_NS) * 1e-9
+    detector, impacts = ImpactDetector(), []
+    for part, flags in ((t_s < 2.0, 0), ((t_s >= 2.0) & (t_s < 2.5), FLAG_AIRBAG), (t_s >= 2.5, FLAG_AIRBAG)):
+        impacts += detector.step(dataclasses.replace(take(motion, np.flatnonzero(part)), flags=flags)).impacts
+    first, last = impacts[0], impacts[-1]
+    assert first.status is Status.SUSPECTED
+    assert first.impacts == 0
+    assert 0.9 < first.confidence < 0.99
+    assert first.delta_v_interval_mps[0] == 0.0  # nothing was felt yet
+    assert last.t_ns == first.t_ns
+    assert last.impacts == 1
+    assert last.delta_v_mps == pytest.approx(6.0, abs=0.3)
+
+
+def test_an_airbag_flag_that_was_set_from_the_start_tells_nothing_by_itself():
+    assert ImpactDetector().step(dataclasses.replace(drive(), flags=FLAG_AIRBAG)).impacts == []
+
+
+def test_an_airbag_flag_of_a_car_that_drives_on_unmoved_is_retracted():
+    motion = drive(seconds=20.0)
+    detector = ImpactDetector()
+    impacts = [
+        one
+        for second, part in enumerate(np.array_split(np.arange(len(motion.t_ns)), 20))
+        for one in detector.step(dataclasses.replace(take(motion, part), flags=FLAG_AIRBAG * (second > 3))).impacts
+    ]
+    assert [one.status for one in impacts] == [Status.SUSPECTED, Status.RETRACTED]
 
 
 def test_an_airbag_flag_of_long_ago_says_nothing_of_a_later_accident():
@@ -372,4 +406,121 @@ def test_clipping_one_axis_does_not_turn_the_direction_of_force():
     (impact,) = find(drive((IMPACT_S, -9.4, -3.4, 0.0, 0.12), full_scale_g=2.0))
     assert impact.clipped
     # Clipped at 2 g ahead alone, the readings themselves would point 35 degrees to the right.
-    assert impact.pdof_deg == pytest.approx(math.degrees(math.atan2(3.4, 9.4)), abs=6.0)
+    off_deg = abs(impact.pdof_deg - math.degrees(math.atan2(3.4, 9.4)))
+    assert off_deg < min(10.0, 2.0 * impact.pdof_sd_deg)
+
+
+@pytest.mark.parametrize("speed_mps", [0.75, 0.85, 1.0])
+def test_a_kerb_stone_that_stops_a_crawling_car_is_none_though_the_speed_is_off_by_its_own_sd(speed_mps):
+    bump = (IMPACT_S, -1.3, 0.1, 0.0, 0.12)  # 1 m/s and a third of it back
+    assert find(drive(bump, speed_mps=speed_mps)) == []
+    assert len(find(drive((IMPACT_S, -2.2, 0.1, 0.0, 0.12), speed_mps=speed_mps))) == 1
+
+
+def test_what_tips_a_box_more_than_it_pushes_it_is_a_hand_and_no_crash():
+    motion = drive((IMPACT_S, 1.4, 0.8, 0.3, 0.09))
+    since = np.maximum((motion.t_ns - EPOCH_NS) * 1e-9 - IMPACT_S, 0.0)
+    assert len(find(motion)) == 1
+    motion.omega_b[:, 0] += 3.0 * np.sin(50.0 * since) * np.exp(-12.0 * since)
+    assert find(motion) == []
+
+
+def test_spikes_of_a_failing_converter_on_a_rough_road_are_none_though_earlier_ones_left_a_mean():
+    motion = drive(noise=0.5)
+    motion.omega_b[:, 0] += 0.2 * np.sin(11.0 * (motion.t_ns - EPOCH_NS) * 1e-9)
+    for row, value in ((580, -490.0), (598, -980.0), (616, 123.0), (630, 245.0), (631, 490.0)):
+        motion.f_b[row, 0] += value
+    assert find(motion) == []
+
+
+def test_an_axis_that_hangs_at_full_scale_is_not_even_suspected_while_it_hangs():
+    motion = drive(noise=0.3)
+    t_s = (motion.t_ns - EPOCH_NS) * 1e-9
+    hangs = (t_s >= 3.0) & (t_s < 3.4)
+    motion.f_b[hangs, 1], motion.saturated[hangs] = 16 * G, 1
+    assert told(motion) == []
+
+
+@pytest.mark.parametrize("length_s", [0.12, 0.2, 0.3])
+def test_a_pulse_is_read_to_the_end_of_its_flank_and_the_braking_after_it_is_left_out(length_s):
+    motion = drive((IMPACT_S, -4.5, 0.0, 0.0, length_s), seconds=15.0)
+    t_s = (motion.t_ns - EPOCH_NS) * 1e-9
+    motion.f_b[(t_s > IMPACT_S + length_s) & (t_s < IMPACT_S + length_s + 1.5), 0] -= 5.0
+    motion.speed_mps[t_s > IMPACT_S + 1.5] = 0.0
+    (impact,) = find(motion)
+    assert impact.delta_v_mps == pytest.approx(4.5, abs=0.3)  # a tail of 0.06 s at 5 m/s2
+
+
+def clipped_crash(delta_v_b, speed_mps, decel_mps2=5.0, length_s=0.12):
+    """A crash of which 2 g clip both axes, then braking to rest; the filter's speed is right before and at rest."""
+    left = math.hypot(speed_mps + delta_v_b[0], delta_v_b[1])
+    stops_s, seconds = IMPACT_S + length_s + left / decel_mps2, 16.0
+    motion = drive((IMPACT_S, *delta_v_b, 0.0, length_s), seconds=seconds)
+    t_s = (motion.t_ns - EPOCH_NS) * 1e-9
+    sliding = (t_s >= IMPACT_S + length_s) & (t_s < stops_s)
+    heading = np.array([speed_mps + delta_v_b[0], delta_v_b[1]]) / left
+    motion.f_b[sliding, :2] -= decel_mps2 * heading
+    motion.speed_mps[:] = np.where(t_s < IMPACT_S + length_s, speed_mps, np.where(t_s < stops_s, 5.0, 0.0))
+    limit = 2.0 * G
+    motion.saturated[:] = (np.abs(motion.f_b) >= limit).any(axis=1)
+    np.clip(motion.f_b, -limit, limit, out=motion.f_b)
+    return motion
+
+
+@pytest.mark.parametrize("delta_v_b", [(-9.4, -3.4), (-7.0, -7.0), (-3.0, 8.0), (-12.0, 1.0)])
+def test_rest_tells_what_clipping_hid_of_a_crash_and_where_it_came_from(delta_v_b):
+    (revisions,) = told(clipped_crash(delta_v_b, speed_mps=14.0))
+    early, last = revisions[1], revisions[-1]
+    size, from_deg = math.hypot(*delta_v_b), math.degrees(math.atan2(-delta_v_b[1], -delta_v_b[0]))
+    assert last.clipped
+    # Speed off by 0.15 m/s and an accelerometer by 0.08 m/s2 for some 3 s: 0.3 m/s, twice.
+    assert last.delta_v_mps == pytest.approx(size, abs=0.6)
+    assert abs(math.remainder(last.pdof_deg - from_deg, 360.0)) < 5.0
+    assert last.pdof_sd_deg < early.pdof_sd_deg
+    assert last.delta_v_interval_mps[0] < size < last.delta_v_interval_mps[1]
+    assert np.ptp(last.delta_v_interval_mps) < 0.5 * np.ptp(early.delta_v_interval_mps)
+
+
+def test_an_accident_that_goes_on_after_a_checkpoint_is_refined_all_the_same():
+    motion = clipped_crash((-7.0, -7.0), speed_mps=14.0)
+    before, after = np.array_split(np.arange(len(motion.t_ns)), [800])
+    whole, first = ImpactDetector(), ImpactDetector()
+    expected = whole.step(motion).impacts
+    found = first.step(take(motion, before)).impacts
+    second = ImpactDetector()
+    second.load(first.state())
+    assert found + second.step(take(motion, after)).impacts == expected
+
+
+def test_a_box_that_lay_half_way_and_creeps_over_the_limit_is_no_rollover():
+    motion = drive(seconds=14.0)
+    t_s = (motion.t_ns - EPOCH_NS) * 1e-9
+    roll = np.radians(55.0) * np.clip((t_s - 3.0) / 0.3, 0.0, 1.0) + np.radians(10.0) * np.clip((t_s - 6.0) / 4.0, 0, 1)
+    motion.down_b[:] = np.column_stack([np.zeros_like(roll), np.sin(roll), np.cos(roll)])
+    motion.f_b[:] += G * (np.array([0.0, 0.0, 1.0]) - motion.down_b)
+    motion.omega_b[:, 0] += np.gradient(roll, t_s)
+    assert find(motion) == []
+
+
+def test_a_parked_car_is_known_as_parked_though_it_moves_once_it_is_struck():
+    push, friction = (IMPACT_S, 2.0, 0.0, 0.0, 0.1), (IMPACT_S + 0.1, -2.0, 0.0, 0.0, 0.5)
+    motion = drive(push, friction, speed_mps=0.0, seconds=15.0)
+    t_s = (motion.t_ns - EPOCH_NS) * 1e-9
+    motion.speed_mps[(t_s > IMPACT_S + 0.03) & (t_s < IMPACT_S + 0.5)] = 1.5
+    (impact,) = find(motion)
+    assert impact.kind is Kind.PARKED_HIT
+
+
+@pytest.mark.parametrize("full_scale_g", [2.0, 16.0])
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0])
+@pytest.mark.parametrize(("delta_v", "length_s"), [(4.0, 0.08), (7.0, 0.1), (14.0, 0.07)])
+def test_a_standing_car_that_is_struck_is_found_by_a_box_without_a_gyroscope(full_scale_g, rate_hz, delta_v, length_s):
+    motion = drive(
+        (IMPACT_S, delta_v, 0.0, 0.0, length_s),
+        speed_mps=0.0, full_scale_g=full_scale_g, rate_hz=rate_hz, noise=0.02, seconds=15.0,
+    )  # fmt: skip
+    motion.omega_b[:] = 0.0
+    (impact,) = find(motion)
+    assert abs(math.remainder(impact.pdof_deg - 180.0, 360.0)) < 5.0
+    low_mps, high_mps = impact.delta_v_interval_mps
+    assert low_mps < delta_v < high_mps

@@ -65,6 +65,8 @@ class Pulse(NamedTuple):
     stood: bool
 
 
+LASTS: Final = 0.1
+"""Abruptness that what goes on over more than three samples has at least: no spike, if edged. A choice."""
 HELD: Final = 0.01
 """By less of itself the specific force's length changes from sample to sample where an axis hangs. A choice."""
 SHAKEN_MPS: Final = 0.15
@@ -258,10 +260,11 @@ def _abruptness(
         enter += 1
     while leave > enter and math.hypot(x[leave, A_X] - slow_x, x[leave, A_Y] - slow_y) < 0.3 * peak:
         leave -= 1
-    lowest, varied, clipped = math.inf, False, False
+    lowest, varied, clipped, loud = math.inf, False, False, 0
     for k in range(enter, leave + 1):
         clipped = clipped or x[k, CLIP_S] > 0.0
         a = math.hypot(x[k, A_X] - slow_x, x[k, A_Y] - slow_y)
+        loud += 1 if a >= 0.3 * peak else 0
         lowest, varied = min(lowest, a), varied or a < 0.8 * peak
     if varied and lowest > 0.12 * peak and leave >= enter + 2:  # two samples may fail side by side
         return 1.0
@@ -282,7 +285,8 @@ def _abruptness(
                 near = min(near, math.hypot(level, x[k, A_Z]))
         if near < math.inf:
             beside = max(beside, near)
-    return beside / max(peak, 1e-9)
+    lasts = loud > 3 and 2 * loud > leave - enter
+    return max(beside / max(peak, 1e-9), LASTS if lasts else 0.0)
 
 
 @njit(cache=True, nogil=True)

@@ -95,9 +95,9 @@ def _described(name: str, one: Mapping[str, Any]) -> Iterable[str]:
     )
     if (late := delay.get("late")) is not None:
         yield (
-            f"  {name}: {late['count']} later than 150 ms: by then the true motion exceeded what tyres and brakes can by"
-            f" {_three(late['excess_mps'], 2)} m/s; by less than is suspected in {late['within_margin']}, by less than"
-            f" speaks for an accident ({late['likely_mps']:.2f}) in {late['below_likely']}"
+            f"  {name}: {late['count']} later than 150 ms: by then the true motion exceeded what tyres and brakes can"
+            f" by {_three(late['excess_mps'], 2)} m/s; by less than is suspected in {late['within_margin']}, by less"
+            f" than speaks for an accident ({late['likely_mps']:.2f}) in {late['below_likely']}"
         )
 
 

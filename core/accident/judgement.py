@@ -94,7 +94,7 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     sharp = evidence.abrupt < limits.sharp_share and evidence.clipping_s == 0.0
     glitch = glitch or (sharp and evidence.jolt_radps < limits.sharp_radps)
     unturned = 0.0 < evidence.jolt_radps < limits.unturned_radps and evidence.delta_v_mps < limits.unturned_mps
-    glitch = glitch or unturned
+    glitch = glitch or unturned or evidence.delta_v_mps > limits.most_mps
     if _stopped_by_a_stone(evidence, limits):
         total -= limits.crawl
     stuck = evidence.clipping_s > limits.stuck_s or (

@@ -296,6 +296,9 @@ class JudgementThresholds(Tunables):
     abrupt_radps: float = tunable(
         0.15, unit="rad/s", low=0.0, high=2.0, source="choice: blows turn a car, if only by its springs"
     )
+    most_mps: float = tunable(
+        50.0, unit="m/s", low=20.0, high=500.0, source="choice, 180 km/h: no car's crash changes its velocity by more"
+    )
     glitch_s: float = tunable(
         0.05, unit="s", low=0.0, high=0.2, source="choice: stiff crashes last longer, also where no gyroscope tells"
     )

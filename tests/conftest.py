@@ -16,6 +16,7 @@ import pytest
 import sqlalchemy
 import uvicorn
 from fastapi import FastAPI
+from hypothesis import settings as hypothesis_settings
 from sqlalchemy import Engine
 from sqlalchemy.engine import make_url
 
@@ -25,6 +26,9 @@ from service.runtime import Runtime
 from service.settings import ENV_PREFIX, Settings
 from service.storage import keys, schema, tenants
 from service.storage.database import open_database, write
+
+hypothesis_settings.register_profile("the same every time", derandomize=True, deadline=None)
+hypothesis_settings.load_profile("the same every time")
 
 _numbers = itertools.count(1)
 

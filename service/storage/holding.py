@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import fcntl
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
 from sqlalchemy import Engine, text
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DBAPIError, OperationalError
 
 from service.errors import DatabaseError
 
@@ -55,6 +56,9 @@ def _hold_server(engine: Engine) -> Callable[[], None]:
         raise _held_elsewhere(name)
 
     def let_go() -> None:
+        # Said, not left to the connection's end, which the server may come to know of a moment later.
+        with suppress(DBAPIError):
+            connection.execute(text("SELECT pg_advisory_unlock(:key)"), {"key": _ADVISORY_LOCK})
         connection.invalidate()  # closed for good: back in the pool it would keep the lock
         connection.close()
 

@@ -19,7 +19,7 @@ All of it is pure: the same record, period and model give the same bits. What ca
 ``fitting``: ``fitted(document, [(record, days), ...]) -> document`` puts a portfolio's own values into a model.
 ``fairness``: ``fairness(rows) -> dict`` of rows (age, sex, score, predicted, claims).
 
-A contribution's evidence is what the record keeps under the contribution's own name: ``mileage``, ``night`` and the
-other groups of hours, ``braking``, ``acceleration``, ``cornering``, ``lane_change``, ``speeding`` (for both of its
-contributions), ``vehicle``, ``road_class:<class>``, ``district:<name>``, ``cell:<id>``.
+A contribution's evidence is what the record keeps under its name: ``mileage``, ``braking``, ``acceleration``,
+``cornering``, ``lane_change``, ``speeding`` (for both of its contributions), ``vehicle``; and of hours, roads, districts
+and cells under each of its labels, as ``hour:08``, ``road_class:<class>``, ``district:<name>``, ``cell:<id>``.
 """

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from core.driving.exposure import Driven
 from core.scoring.credibility import NORMAL_95, Estimate, Shrunk, summed
-from core.scoring.record import Record
+from core.scoring.record import Evidence, Record, heaviest
 from core.scoring.score import Contribution, Part, evidence_of
 
 NEVER_KNOWN: Final = 1e-9
@@ -121,9 +121,18 @@ def _told(
         made.append(
             (
                 Contribution(
-                    name, label, 0.0, value=share, portfolio=usual, unit="1", evidence=evidence_of(record, name)
+                    name, label, 0.0, value=share, portfolio=usual, unit="1", evidence=_behind(facet, labels, record)
                 ),
                 math.fsum(excess[one] for one in labels),
             )
         )
     return made
+
+
+def _behind(facet: Facet, labels: Sequence[str], record: Record) -> tuple[Evidence, ...]:
+    """What is evidence of any of some labels, a trip once with all that it drove under them."""
+    weights: dict[tuple[str, str], int] = {}
+    for label in labels:
+        for piece in evidence_of(record, f"{facet.name}:{label}"):
+            weights[piece.kind, piece.id] = weights.get((piece.kind, piece.id), 0) + piece.weight
+    return heaviest(Evidence(weight, *which) for which, weight in weights.items())

@@ -46,9 +46,6 @@ ASSUMED_CERTAINTY: Final = 0.6
 goes on top."""
 GAP_NS: Final = 2_000_000_000
 """Across more without a row nobody knows how it was driven, but how far: the straight line, as a trip counts it."""
-NIGHT: Final = frozenset({"22", "23", "00", "01", "02", "03", "04"})
-"""Local hours whose driving is evidence of night: those of the group in the tables of scores."""
-
 _PLACES_TOLD: Final = 3
 """Of how many districts and road classes a trip is evidence at most: those in which it was longest."""
 _QUARTER_NS: Final = 900_000_000_000
@@ -181,7 +178,7 @@ def _with_exposure(record: Record, trip_id: str, driven: Exposure) -> Record:
     by = dict(driven.by)
     places = by.pop(Facet.CELL, {})
     of: dict[str, int] = {"mileage": driven.total.distance_mm}
-    of["night"] = sum(one.distance_mm for hour, one in by.get(Facet.HOUR, {}).items() if hour in NIGHT)
+    of |= {f"{Facet.HOUR}:{hour}": one.distance_mm for hour, one in by.get(Facet.HOUR, {}).items()}
     of["speeding"] = record.speeding.excess_mm
     of["vehicle"] = _risky(record.belief.get(VEHICLE))
     for facet in (Facet.ROAD_CLASS, Facet.DISTRICT):

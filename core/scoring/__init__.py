@@ -20,6 +20,6 @@ All of it is pure: the same record, period and model give the same bits. What ca
 ``fairness``: ``fairness(rows) -> dict`` of rows (age, sex, score, predicted, claims).
 
 A contribution's evidence is what the record keeps under its name: ``mileage``, ``braking``, ``acceleration``,
-``cornering``, ``lane_change``, ``speeding`` (for both of its contributions), ``vehicle``; and of hours, roads, districts
+``cornering``, ``lane_change``, ``speeding`` (for both of its contributions), ``vehicle``; of hours, roads, districts
 and cells under each of its labels, as ``hour:08``, ``road_class:<class>``, ``district:<name>``, ``cell:<id>``.
 """

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from core.accident import paper_rule, trigger
-from core.accident.clipping import Whole, unclip
+from core.accident.clipping import Whole
 from core.accident.events import (
     Candidate,
     Findings,
@@ -24,14 +24,12 @@ from core.accident.events import (
     Status,
     VehicleMotion,
 )
-from core.accident.impacts import deployed, overturned, refined
+from core.accident.impacts import deployed, felt, overturned, refined
 from core.accident.judgement import (
     AIRBAG_DEPLOYED,
     Aftermath,
-    Evidence,
     confidence,
     followed,
-    log_odds,
     probability,
     reasons,
 )
@@ -39,11 +37,9 @@ from core.accident.level import SPEED, UPRIGHT, LevelMotion
 from core.accident.momentum import Momentum, begun, settled, struck
 from core.accident.naming import lean, manoeuvre, name
 from core.accident.pulse import Pulse, hangs, read_pulse
-from core.accident.severity import classify, force_direction_deg, force_direction_sd_deg, injury_risk
 from core.accident.shocks import read_shock
 from core.accident.thresholds import DetectorThresholds
 from core.accident.trigger import NEVER, Stop, scan
-from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FLAG_AIRBAG, FLAG_POWER_LOSS, FLAG_TOW, FloatArray
 
 NAME: Final = "telefuse"
@@ -188,7 +184,8 @@ class ImpactDetector:
         start = int(np.searchsorted(t_ns, registers[trigger.START]))
         ends = evidence_row, max(row - 1, evidence_row)
         pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse)
-        impact, odds, unclipped = self._impact(pulse, row)
+        fell, parked = self._fell(int(t_ns[pulse.first])), self._stood_parked(int(t_ns[pulse.first]))
+        impact, odds, unclipped = felt(level, pulse, row, NAME, limits, fell=fell, parked=parked)
         if not whole and hangs(level.x, pulse.first, row):
             return  # until it lets go
         told = self._told_ns == registers[trigger.START]
@@ -221,65 +218,6 @@ class ImpactDetector:
     def _struck(self, was: Momentum | None, pulse: Pulse, whole: Whole | None, *, worst: bool) -> Momentum | None:
         level, rows = self._level, (pulse.first, pulse.last)
         return None if was is None else struck(was, level.t_ns, level.x, level.flags, rows, whole, worst=worst)
-
-    def _impact(self, pulse: Pulse, row: int) -> tuple[Impact, float, Whole | None]:
-        """The accident that a pulse would be, its log-odds, and what it was where it clipped."""
-        limits, level = self._limits, self._level
-        t_ns, x = level.t_ns, level.x
-        delta_v, duration_s = math.hypot(pulse.forward_mps, pulse.right_mps), pulse.duration_s
-        direction = (pulse.forward_mps / max(delta_v, 1e-9), pulse.right_mps / max(delta_v, 1e-9))
-        tilt_sd = limits.pulse.blind_tilt_sd_rad if pulse.levelled else limits.pulse.tilt_sd_rad
-        across_sd = math.hypot(tilt_sd * STANDARD_GRAVITY_MPS2 * duration_s, limits.pulse.noise_sd_mps)
-        sd = math.hypot(limits.pulse.scale_sd * delta_v, across_sd)
-        interval = (max(delta_v - 1.96 * sd, 0.0), delta_v + 1.96 * sd)
-        whole, hidden_rad = None, 0.0
-        if pulse.clipped_s > 0.0:
-            whole = unclip(t_ns, x, level.flags, pulse.first, pulse.last)
-            delta_v, duration_s, hidden_rad = whole.delta_v_mps, whole.duration_s, whole.direction_sd_rad
-            low, high = whole.low_mps - delta_v, whole.high_mps - delta_v
-            direction = (float(whole.direction[0]), float(whole.direction[1]))
-            interval = (max(delta_v - math.hypot(low, 1.96 * sd), 0.0), delta_v + math.hypot(high, 1.96 * sd))
-            sd = math.hypot(sd, whole.sd_mps)
-        evidence = Evidence(
-            delta_v_mps=pulse.felt_mps,
-            beyond_mps=pulse.beyond_mps,
-            duration_s=pulse.felt_s,
-            swing_mps=pulse.swing_mps,
-            retained=pulse.retained,
-            rate_radps=pulse.rate_radps,
-            jolt_radps=pulse.jolt_radps,
-            tip_radps=pulse.tip_radps,
-            aside=abs(pulse.right_mps) / max(math.hypot(pulse.forward_mps, pulse.right_mps), 1e-9),
-            clipping_s=pulse.clipping_s,
-            abrupt=pulse.abrupt,
-            speed_mps=float(x[pulse.first, SPEED]),
-            stood=pulse.stood,
-            fell=self._fell(int(t_ns[pulse.first])) and pulse.rate_radps > limits.naming.fallen_radps,
-        )
-        odds = log_odds(evidence, limits.judgement)
-        pdof_deg = force_direction_deg(*direction)
-        impact = Impact(
-            t_ns=int(t_ns[pulse.first]),
-            decided_t_ns=int(t_ns[row]),
-            detector=NAME,
-            severity=classify(delta_v, duration_s, limits.severity),
-            confidence=confidence(odds, limits.judgement),
-            delta_v_mps=delta_v,
-            delta_v_sd_mps=sd,
-            delta_v_b_mps=(direction[0] * delta_v, direction[1] * delta_v),
-            pdof_deg=pdof_deg,
-            peak_mps2=pulse.peak_mps2,
-            duration_s=duration_s,
-            clipped=whole is not None,
-            speed_before_mps=float(x[pulse.first, SPEED]),
-            paper_agrees=paper_rule.holds_within(x, pulse.first, row, limits.paper),
-            kind=Kind.PARKED_HIT if self._stood_parked(int(t_ns[pulse.first])) else Kind.COLLISION,
-            delta_v_interval_mps=interval,
-            pdof_sd_deg=force_direction_sd_deg(delta_v, across_sd, limits.pulse, hidden_rad),
-            injury=injury_risk(interval, pdof_deg),
-            reasons=reasons(_NOTHING_YET, limits.aftermath, clipped=whole is not None, rollover=False),
-        )
-        return impact, odds, whole
 
     def _fell(self, t_ns: int, within_s: float = FELL_BEFORE_S) -> bool:
         return t_ns - int(self._registers[trigger.FELL]) < _ns(within_s)
@@ -550,9 +488,6 @@ class ImpactDetector:
             self._update(
                 replace(was.impact, decided_t_ns=now), was.odds + limits.judgement.flagged, row, found, was.momentum
             )
-
-
-_NOTHING_YET: Final = Aftermath(math.nan, math.nan, 0.0, 0.0, 0.0, airbag=False, power_loss=False)
 
 
 def _ns(seconds: float) -> int:

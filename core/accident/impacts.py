@@ -1,19 +1,93 @@
-"""Impacts made and remade where no pulse tells them: by a tilt, by an airbag, by what rest says of clipping."""
+"""Impacts as they are told: of a pulse, by a tilt or an airbag without one, remade by what rest says of clipping."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from core.accident import paper_rule
+from core.accident.clipping import Whole, unclip
 from core.accident.events import Impact, Kind, Severity
-from core.accident.judgement import AIRBAG_DEPLOYED, confidence
+from core.accident.judgement import AIRBAG_DEPLOYED, Aftermath, Evidence, confidence, log_odds, reasons
 from core.accident.level import CLIPPED, SPEED, LevelMotion
+from core.accident.pulse import Pulse
 from core.accident.severity import classify, force_direction_deg, force_direction_sd_deg, injury_risk
 from core.accident.thresholds import DetectorThresholds
+from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FloatArray
+
+_NOTHING_YET: Final = Aftermath(math.nan, math.nan, 0.0, 0.0, 0.0, airbag=False, power_loss=False)
+
+
+def felt(
+    level: LevelMotion,
+    pulse: Pulse,
+    row: int,
+    name: str,
+    limits: DetectorThresholds,
+    *,
+    fell: bool,
+    parked: bool,
+) -> tuple[Impact, float, Whole | None]:
+    """The accident that a pulse would be, decided at ``row``, its log-odds, and what it was where it clipped."""
+    t_ns, x = level.t_ns, level.x
+    delta_v, duration_s = math.hypot(pulse.forward_mps, pulse.right_mps), pulse.duration_s
+    direction = (pulse.forward_mps / max(delta_v, 1e-9), pulse.right_mps / max(delta_v, 1e-9))
+    tilt_sd = limits.pulse.blind_tilt_sd_rad if pulse.levelled else limits.pulse.tilt_sd_rad
+    across_sd = math.hypot(tilt_sd * STANDARD_GRAVITY_MPS2 * duration_s, limits.pulse.noise_sd_mps)
+    sd = math.hypot(limits.pulse.scale_sd * delta_v, across_sd)
+    interval = (max(delta_v - 1.96 * sd, 0.0), delta_v + 1.96 * sd)
+    whole, hidden_rad = None, 0.0
+    if pulse.clipped_s > 0.0:
+        whole = unclip(t_ns, x, level.flags, pulse.first, pulse.last)
+        delta_v, duration_s, hidden_rad = whole.delta_v_mps, whole.duration_s, whole.direction_sd_rad
+        low, high = whole.low_mps - delta_v, whole.high_mps - delta_v
+        direction = (float(whole.direction[0]), float(whole.direction[1]))
+        interval = (max(delta_v - math.hypot(low, 1.96 * sd), 0.0), delta_v + math.hypot(high, 1.96 * sd))
+        sd = math.hypot(sd, whole.sd_mps)
+    evidence = Evidence(
+        delta_v_mps=pulse.felt_mps,
+        beyond_mps=pulse.beyond_mps,
+        duration_s=pulse.felt_s,
+        swing_mps=pulse.swing_mps,
+        retained=pulse.retained,
+        rate_radps=pulse.rate_radps,
+        jolt_radps=pulse.jolt_radps,
+        tip_radps=pulse.tip_radps,
+        aside=abs(pulse.right_mps) / max(math.hypot(pulse.forward_mps, pulse.right_mps), 1e-9),
+        clipping_s=pulse.clipping_s,
+        abrupt=pulse.abrupt,
+        speed_mps=float(x[pulse.first, SPEED]),
+        stood=pulse.stood,
+        fell=fell and pulse.rate_radps > limits.naming.fallen_radps,
+    )
+    odds = log_odds(evidence, limits.judgement)
+    pdof_deg = force_direction_deg(*direction)
+    impact = Impact(
+        t_ns=int(t_ns[pulse.first]),
+        decided_t_ns=int(t_ns[row]),
+        detector=name,
+        severity=classify(delta_v, duration_s, limits.severity),
+        confidence=confidence(odds, limits.judgement),
+        delta_v_mps=delta_v,
+        delta_v_sd_mps=sd,
+        delta_v_b_mps=(direction[0] * delta_v, direction[1] * delta_v),
+        pdof_deg=pdof_deg,
+        peak_mps2=pulse.peak_mps2,
+        duration_s=duration_s,
+        clipped=whole is not None,
+        speed_before_mps=float(x[pulse.first, SPEED]),
+        paper_agrees=paper_rule.holds_within(x, pulse.first, row, limits.paper),
+        kind=Kind.PARKED_HIT if parked else Kind.COLLISION,
+        delta_v_interval_mps=interval,
+        pdof_sd_deg=force_direction_sd_deg(delta_v, across_sd, limits.pulse, hidden_rad),
+        injury=injury_risk(interval, pdof_deg),
+        reasons=reasons(_NOTHING_YET, limits.aftermath, clipped=whole is not None, rollover=False),
+    )
+    return impact, odds, whole
 
 
 def refined(impact: Impact, mean_mps: FloatArray, covariance: FloatArray, limits: DetectorThresholds) -> Impact:

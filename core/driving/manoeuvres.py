@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from typing import Final
@@ -253,21 +253,30 @@ class ManoeuvreTracker:
 
 
 def explained(
-    episodes: Iterable[Episode], causes_t_ns: Iterable[int], thresholds: ManoeuvreThresholds | None = None
+    episodes: Iterable[Episode], causes_t_ns: Sequence[int], thresholds: ManoeuvreThresholds | None = None
 ) -> list[Episode]:
-    """The episodes, those braking or swerving marked as defensive that a hazard or an accident explains.
+    """The episodes, those marked as defensive that a hazard or an accident explains (``is_explained``)."""
+    return [
+        replace(one, defensive=True)
+        if is_explained(one.kind, one.start_t_ns, one.end_t_ns, causes_t_ns, thresholds)
+        else one
+        for one in episodes
+    ]
+
+
+def is_explained(
+    kind: Manoeuvre,
+    start_t_ns: int,
+    end_t_ns: int,
+    causes_t_ns: Iterable[int],
+    thresholds: ManoeuvreThresholds | None = None,
+) -> bool:
+    """Whether a hazard or an accident explains a braking or a swerve.
 
     Parameters
     ----------
     causes_t_ns : when hazards and accidents were, as they were detected
     """
     limits = thresholds or ManoeuvreThresholds()
-    causes = sorted(causes_t_ns)
-    foreseen, evading = round(1e9 * limits.foreseen_s), round(1e9 * limits.evading_s)
-    evasive = (Manoeuvre.BRAKING, Manoeuvre.LANE_CHANGE)
-    return [
-        replace(one, defensive=True)
-        if one.kind in evasive and any(one.start_t_ns - evading <= cause <= one.end_t_ns + foreseen for cause in causes)
-        else one
-        for one in episodes
-    ]
+    begin, end = start_t_ns - round(1e9 * limits.evading_s), end_t_ns + round(1e9 * limits.foreseen_s)
+    return kind in (Manoeuvre.BRAKING, Manoeuvre.LANE_CHANGE) and any(begin <= cause <= end for cause in causes_t_ns)

@@ -231,17 +231,20 @@ def _record(rng: random.Random, trip_id: str, start_ns: int, way: list[str]) -> 
         name: BeliefSums(instants, tuple(rng.randrange(10**12) for _ in range(N_SETS))) for name in (*ENTITIES, "fused")
     }
     trip = (Evidence(total.distance_mm, "trip", trip_id),)
+    facets = (Facet.HOUR, Facet.ROAD_CLASS, Facet.DISTRICT)
+    about = [f"{facet}:{label}" for facet in facets for label in by[facet] if label]
+    manoeuvres = [str(kind) for kind in Manoeuvre if rng.random() < 0.1]
     return Record(
         trips=1,
         exposure=Exposure(total, by),
         cells=dict(zip(way, parts, strict=True)),
         coasting_ms=rng.randrange(60_000),
-        manoeuvres={str(kind): 1 for kind in Manoeuvre if rng.random() < 0.1},
+        manoeuvres=dict.fromkeys(manoeuvres, 1),
         speeding=SpeedingSums(*(rng.randrange(100_000) for _ in range(8))),
         belief=masses,
         coverage={name: rng.randrange(10**12) for name in _COVERAGE},
-        evidence=dict.fromkeys(("distance", "night", "speeding", "belief"), trip)
-        | {"manoeuvres.braking": (Evidence(rng.randrange(4000, 9000), "manoeuvre", f"m-{trip_id}"),)},
+        evidence=dict.fromkeys(("mileage", "speeding", "vehicle", *about), trip)
+        | {kind: (Evidence(rng.randrange(4000, 9000), "manoeuvre", f"{kind}-{trip_id}"),) for kind in manoeuvres},
     )
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-from core.driving.manoeuvres import Episode, Manoeuvre, explained
+from core.driving.manoeuvres import Manoeuvre, is_explained
 from core.scoring.record import Evidence, Record
 from service.storage.accidents import AccidentRow
 from service.storage.manoeuvres import CONFIRMED, DEFENSIVE, FALSE, ManoeuvreRow
@@ -51,37 +50,14 @@ def with_events(
 
 
 def _excuses(manoeuvres: Sequence[ManoeuvreRow], accidents_ns: Sequence[int]) -> dict[str, str | None]:
-    evasive = explained([_episode(one) for one in manoeuvres], accidents_ns)
     reasons: dict[str, str | None] = {}
-    for row, episode in zip(manoeuvres, evasive, strict=True):
-        struck = any(row.start_ns <= t_ns <= row.end_ns for t_ns in accidents_ns)
-        if row.verdict == CONFIRMED or row.verdict == FALSE:
-            reasons[row.id] = None
-        elif row.verdict == DEFENSIVE:
-            reasons[row.id] = BY_REVIEWER
+    for one in manoeuvres:
+        if one.verdict == CONFIRMED or one.verdict == FALSE:
+            reasons[one.id] = None
+        elif one.verdict == DEFENSIVE:
+            reasons[one.id] = BY_REVIEWER
         else:
-            reasons[row.id] = BY_ACCIDENT if episode.defensive or struck else None
+            struck = any(one.start_ns <= t_ns <= one.end_ns for t_ns in accidents_ns)
+            evasive = is_explained(Manoeuvre(one.kind), one.start_ns, one.end_ns, accidents_ns)
+            reasons[one.id] = BY_ACCIDENT if evasive or struck else None
     return reasons
-
-
-def _episode(row: ManoeuvreRow) -> Episode:
-    def number(value: float | None) -> float:
-        return math.nan if value is None else value
-
-    return Episode(
-        kind=Manoeuvre(row.kind),
-        start_t_ns=row.start_ns,
-        peak_t_ns=row.peak_ns,
-        end_t_ns=row.end_ns,
-        peak_mps2=row.peak_mps2,
-        direction=row.direction,
-        aggressive=row.aggressive,
-        speed_before_mps=number(row.speed_before_mps),
-        speed_after_mps=number(row.speed_after_mps),
-        speed_at_peak_mps=number(row.speed_at_peak_mps),
-        across_mps2=number(row.across_mps2),
-        radius_m=number(row.radius_m),
-        heading_change_rad=math.radians(number(row.heading_change_deg)),
-        counted=row.counted,
-        recovery=row.recovery,
-    )

@@ -7,17 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
+from heapq import nsmallest
+from itertools import pairwise
 from typing import Any, Final
 
 from core.driving.exposure import Driven, Exposure, Facet
 from core.risk.belief import N_SETS
-from core.scoring.record import BeliefSums, Evidence, Record, SpeedingSums, heaviest
+from core.scoring.record import MOST_EVIDENCE, BeliefSums, Evidence, Record, SpeedingSums
 
 _COUNTS: Final = ("manoeuvres", "excused", "coverage", "accidents")
 _SPEEDING: Final = tuple(one.name for one in fields(SpeedingSums) if one.name != "max_excess_mmps")
 
 Told = dict[str, Any]
-"""``sums``, which add up name by name; ``max_excess_mmps``, of which the greatest counts; and ``evidence``."""
+"""``sums``, which add up name by name; ``max_excess_mmps``, of which the greatest counts; and ``evidence``, by what it
+is of a text with a line a piece (``_line``), the heaviest first."""
+_HEAVIEST: Final = 2**63 - 1
 
 
 def told_of(record: Record) -> Told:
@@ -38,7 +42,7 @@ def told_of(record: Record) -> Told:
     for entity, belief in record.belief.items():
         sums |= {f"belief/{entity}/{bits}": mass for bits, mass in enumerate(belief.mass)}
         sums[f"belief/{entity}/n"] = belief.instants
-    evidence = {about: [list(one) for one in pieces] for about, pieces in record.evidence.items()}
+    evidence = {about: "\n".join(map(_line, pieces)) for about, pieces in record.evidence.items()}
     return {"sums": sums, "max_excess_mmps": record.speeding.max_excess_mmps, "evidence": evidence}
 
 
@@ -70,7 +74,7 @@ def record_of(told: Mapping[str, Any], cells: Mapping[str, Driven] | None = None
         coasting_ms=sums["coasting_ms"],
         speeding=SpeedingSums(**speeding, max_excess_mmps=told["max_excess_mmps"]),
         belief={name: BeliefSums(sums[f"belief/{name}/n"], tuple(mass)) for name, mass in masses.items()},
-        evidence={about: tuple(Evidence(*one) for one in found) for about, found in pieces},
+        evidence={about: tuple(map(_piece, lines.splitlines())) for about, lines in pieces},
         **counts,
     )
 
@@ -78,13 +82,32 @@ def record_of(told: Mapping[str, Any], cells: Mapping[str, Driven] | None = None
 def added(parts: Iterable[Mapping[str, Any]]) -> Told:
     """What would be told of the sum of records, without making them."""
     sums = told_of(Record())["sums"]
-    pieces: dict[str, list[list[Any]]] = {}
+    pieces: dict[str, list[str]] = {}
     max_excess_mmps = 0
     for one in parts:
         for path, value in one["sums"].items():
             sums[path] = sums.get(path, 0) + value
         for about, found in one["evidence"].items():
-            pieces.setdefault(about, []).extend(found)
+            pieces.setdefault(about, []).append(found)
         max_excess_mmps = max(max_excess_mmps, one["max_excess_mmps"])
-    evidence = {about: [list(one) for one in heaviest(map(Evidence._make, found))] for about, found in pieces.items()}
+    evidence = {about: _first("\n".join(found)) for about, found in pieces.items()}
     return {"sums": sums, "max_excess_mmps": max_excess_mmps, "evidence": evidence}
+
+
+def _line(piece: Evidence) -> str:
+    """A piece as a line; the heavier, the earlier it sorts, and of equals the one whose id comes first."""
+    return f"{_HEAVIEST - piece.weight:016x} {piece.kind} {piece.id}"
+
+
+def _piece(line: str) -> Evidence:
+    weight, kind, name = line.split(" ", 2)
+    return Evidence(_HEAVIEST - int(weight, 16), kind, name)
+
+
+def _first(lines: str) -> str:
+    """The heaviest pieces, each once, as a record keeps them."""
+    found = lines.splitlines()
+    first = nsmallest(MOST_EVIDENCE, found)
+    if any(one == other for one, other in pairwise(first)):  # never of trips, each of which is in one part alone
+        first = sorted(set(found))[:MOST_EVIDENCE]
+    return "\n".join(first)

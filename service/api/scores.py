@@ -23,7 +23,7 @@ router = APIRouter(tags=["scores"])
 Reader = Annotated[Principal, Depends(require("scores:read"))]
 
 
-def asked(
+async def asked(
     from_: Annotated[
         str | None,
         Query(alias="from", description="Trips that began at this RFC 3339 time or local date, or later."),
@@ -46,7 +46,7 @@ def asked(
 PeriodAsked = Annotated[Asked, Depends(asked)]
 
 
-def reading(request: Request) -> Reading:
+async def reading(request: Request) -> Reading:
     """What tenants rate by."""
     found: Reading = request.app.state.runtime.reading
     return found

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Annotated, Final
 
 from fastapi import Depends, Request, Security
 from fastapi.security import HTTPBearer
 from sqlalchemy import Engine
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection
 
 from service.errors import ForbiddenError, UnauthenticatedError
@@ -126,20 +127,21 @@ def _digest(token: str) -> bytes:
 _bearer: Final = HTTPBearer(auto_error=False, scheme_name="ApiKey", description="An API key, tf_ID_SECRET.")
 
 
-def caller(request: Request, _documented: Annotated[object, Security(_bearer)]) -> Principal:
+async def caller(request: Request, _documented: Annotated[object, Security(_bearer)]) -> Principal:
     """Dependency: the caller, whatever they may do."""
     authenticator: Authenticator = request.app.state.authenticator
-    return authenticator.principal(request)
+    known = authenticator.remembered(request)
+    return await run_in_threadpool(authenticator.principal, request) if known is None else known
 
 
 Caller = Annotated[Principal, Depends(caller)]
 
 
-def require(scope: str) -> Callable[[Principal], Principal]:
+def require(scope: str) -> Callable[[Principal], Awaitable[Principal]]:
     """Dependency: the caller, who must hold ``scope``; 401 without a good key, 403 without the scope."""
 
     # Security rather than Depends, so that the OpenAPI document names the scope.
-    def with_scope(principal: Principal = Security(caller, scopes=[scope])) -> Principal:  # noqa: B008
+    async def with_scope(principal: Principal = Security(caller, scopes=[scope])) -> Principal:  # noqa: B008
         principal.check(scope)
         return principal
 

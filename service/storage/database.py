@@ -32,12 +32,13 @@ def open_database(url: str) -> Engine:
     """
     parsed = make_url(url)
     if parsed.get_backend_name() != "sqlite":
-        return create_engine(parsed, pool_pre_ping=True, json_deserializer=from_json)
+        return create_engine(parsed, pool_pre_ping=True, pool_use_lifo=True, json_deserializer=from_json)
     if not parsed.database or parsed.database == ":memory:":
         raise ValueError("SQLite in memory has one connection and keeps nothing; give a file: sqlite:///FILE")
     Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
     arguments = {"check_same_thread": False, "isolation_level": None}
-    engine = create_engine(parsed, connect_args=arguments, json_deserializer=from_json)
+    # The connection used last knows its pages still; the first in line would be another each time.
+    engine = create_engine(parsed, connect_args=arguments, json_deserializer=from_json, pool_use_lifo=True)
     _write_locks[engine] = threading.Lock()
 
     @event.listens_for(engine, "connect")

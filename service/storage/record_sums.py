@@ -88,7 +88,9 @@ def added(parts: Iterable[Mapping[str, Any]]) -> Told:
         for path, value in one["sums"].items():
             sums[path] = sums.get(path, 0) + value
         for about, found in one["evidence"].items():
-            pieces.setdefault(about, []).append(found)
+            pieces.setdefault(about, [])
+            if found:  # an empty text among others would be a line of its own
+                pieces[about].append(found)
         max_excess_mmps = max(max_excess_mmps, one["max_excess_mmps"])
     evidence = {about: _first("\n".join(found)) for about, found in pieces.items()}
     return {"sums": sums, "max_excess_mmps": max_excess_mmps, "evidence": evidence}

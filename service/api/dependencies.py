@@ -37,9 +37,11 @@ ID_PATTERN: Final = r"^[A-Za-z0-9-]{1,36}$"
 VehiclePath = Annotated[VehicleId, Path(description="The vehicle's id.", examples=["WVWZZZ1KZAW000001"])]
 
 
-def the_vehicle(connection: Connection, tenant_id: str, vehicle_id: str) -> VehicleRow:
+def the_vehicle(
+    connection: Connection, tenant_id: str, vehicle_id: str, *, with_calibrations: bool = True
+) -> VehicleRow:
     """The tenant's vehicle; raises NotFoundError for none, also where another tenant has one of that name."""
-    row = vehicles.find(connection, tenant_id, vehicle_id)
+    row = vehicles.find(connection, tenant_id, vehicle_id, with_calibrations=with_calibrations)
     if row is None:
         raise no_vehicle(vehicle_id)
     return row

@@ -101,7 +101,7 @@ def get_record(
     """
     cells = caller.may("positions:read")
     with read(engine) as connection:
-        ref = the_vehicle(connection, caller.tenant_id, vehicle_id).ref
+        ref = the_vehicle(connection, caller.tenant_id, vehicle_id, with_calibrations=False).ref
         found, record = recorded(connection, ref, period, time.time_ns(), cells=cells)
     return answer(request, told_record(vehicle_id, found, record, cells=cells))
 
@@ -141,5 +141,5 @@ def _scored(
     products: tuple[Product, ...],
 ) -> Scored:
     with read(engine) as connection:
-        ref = the_vehicle(connection, caller.tenant_id, vehicle_id).ref
+        ref = the_vehicle(connection, caller.tenant_id, vehicle_id, with_calibrations=False).ref
         return scored(connection, rates, ref, products, period, time.time_ns())

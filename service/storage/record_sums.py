@@ -5,9 +5,8 @@ Cells are apart (``cell_sums``). Names are such as ``trips``, ``by/road_class/mm
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
-from heapq import nsmallest
 from itertools import pairwise
 from typing import Any, Final
 
@@ -46,9 +45,10 @@ def told_of(record: Record) -> Told:
     return {"sums": sums, "max_excess_mmps": record.speeding.max_excess_mmps, "evidence": evidence}
 
 
-def record_of(told: Mapping[str, Any], cells: Mapping[str, Driven] | None = None) -> Record:
-    """The record of what was told, with its cells."""
-    sums: Mapping[str, int] = told["sums"]
+def record_of(parts: Iterable[Mapping[str, Any]], cells: Mapping[str, Driven] | None = None) -> Record:
+    """The record of all that was told, with its cells."""
+    parts = list(parts)
+    sums, max_excess_mmps = _summed(parts)
     by: dict[Facet, dict[str, Driven]] = {}
     counts: dict[str, dict[str, int]] = {name: {} for name in _COUNTS}
     masses: dict[str, list[int]] = {}
@@ -64,7 +64,6 @@ def record_of(told: Mapping[str, Any], cells: Mapping[str, Driven] | None = None
             entity, _, bits = rest.rpartition("/")
             if bits != "n":
                 masses.setdefault(entity, [0] * N_SETS)[int(bits)] = value
-    pieces = told["evidence"].items()
     speeding = {name: sums[f"speeding/{name}"] for name in _SPEEDING}
     return Record(
         trips=sums["trips"],
@@ -72,28 +71,59 @@ def record_of(told: Mapping[str, Any], cells: Mapping[str, Driven] | None = None
         exposure=Exposure(Driven(sums["total/mm"], sums["total/ms"]), by),
         cells=dict(cells or {}),
         coasting_ms=sums["coasting_ms"],
-        speeding=SpeedingSums(**speeding, max_excess_mmps=told["max_excess_mmps"]),
+        speeding=SpeedingSums(**speeding, max_excess_mmps=max_excess_mmps),
         belief={name: BeliefSums(sums[f"belief/{name}/n"], tuple(mass)) for name, mass in masses.items()},
-        evidence={about: tuple(map(_piece, lines.splitlines())) for about, lines in pieces},
+        evidence=_EvidenceOf([one["evidence"] for one in parts]),
         **counts,
     )
 
 
-def added(parts: Iterable[Mapping[str, Any]]) -> Told:
+def added(parts: Sequence[Mapping[str, Any]]) -> Told:
     """What would be told of the sum of records, without making them."""
-    sums = told_of(Record())["sums"]
-    pieces: dict[str, list[str]] = {}
+    sums, max_excess_mmps = _summed(parts)
+    evidence = _EvidenceOf([one["evidence"] for one in parts])
+    return {
+        "sums": sums,
+        "max_excess_mmps": max_excess_mmps,
+        "evidence": {about: "\n".join(evidence.lines(about)) for about in evidence},
+    }
+
+
+def _summed(parts: Sequence[Mapping[str, Any]]) -> tuple[dict[str, int], int]:
+    sums: dict[str, int] = dict(_NOTHING)
     max_excess_mmps = 0
     for one in parts:
         for path, value in one["sums"].items():
             sums[path] = sums.get(path, 0) + value
-        for about, found in one["evidence"].items():
-            pieces.setdefault(about, [])
-            if found:  # an empty text among others would be a line of its own
-                pieces[about].append(found)
         max_excess_mmps = max(max_excess_mmps, one["max_excess_mmps"])
-    evidence = {about: _first("\n".join(found)) for about, found in pieces.items()}
-    return {"sums": sums, "max_excess_mmps": max_excess_mmps, "evidence": evidence}
+    return sums, max_excess_mmps
+
+
+class _EvidenceOf(Mapping[str, tuple[Evidence, ...]]):
+    """The evidence of a sum, found where it is asked for: a score tells of a few of a hundred figures."""
+
+    def __init__(self, parts: Sequence[Mapping[str, str]]) -> None:
+        self._parts = parts
+        self._about = dict.fromkeys(about for part in parts for about in part)
+
+    def __getitem__(self, about: str) -> tuple[Evidence, ...]:
+        if about not in self._about:
+            raise KeyError(about)
+        return tuple(map(_piece, self.lines(about)))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._about)
+
+    def __len__(self) -> int:
+        return len(self._about)
+
+    def lines(self, about: str) -> list[str]:
+        """The heaviest pieces, each once, as a record keeps them."""
+        found = sorted(line for part in self._parts for line in part.get(about, "").splitlines())
+        first = found[:MOST_EVIDENCE]
+        if any(one == other for one, other in pairwise(first)):  # never of trips, each of which is in one part alone
+            first = list(dict.fromkeys(found))[:MOST_EVIDENCE]
+        return first
 
 
 def _line(piece: Evidence) -> str:
@@ -106,10 +136,4 @@ def _piece(line: str) -> Evidence:
     return Evidence(_HEAVIEST - int(weight, 16), kind, name)
 
 
-def _first(lines: str) -> str:
-    """The heaviest pieces, each once, as a record keeps them."""
-    found = lines.splitlines()
-    first = nsmallest(MOST_EVIDENCE, found)
-    if any(one == other for one, other in pairwise(first)):  # never of trips, each of which is in one part alone
-        first = sorted(set(found))[:MOST_EVIDENCE]
-    return "\n".join(first)
+_NOTHING: Final = told_of(Record())["sums"]

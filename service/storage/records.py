@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from itertools import pairwise
-from typing import Any
+from typing import Any, Final
 
 from sqlalchemy import (
-    Column,
     ColumnElement,
     Connection,
+    ScalarSelect,
+    Select,
     Table,
     and_,
     bindparam,
@@ -98,7 +99,7 @@ def find(connection: Connection, trip_id: str) -> TripRecord | None:
     if row is None:
         return None
     told = {name: getattr(row, name) for name in TripRecord.__slots__ if name != "record"}
-    record = record_sums.record_of(row.record, cell_sums.unpacked([row.cells]))
+    record = record_sums.record_of([row.record], cell_sums.unpacked([row.cells]))
     return TripRecord(record=record, **told)
 
 
@@ -116,37 +117,24 @@ def of_period(
     Whole days and longer periods of ``zone``, the vehicle's, come from their sums. Without ``cells`` there are none.
     """
     parts = cover(from_ns, to_ns, zone)
-    wanted = [
-        and_(record_rollups.c.period == period, record_rollups.c.begin >= begin, record_rollups.c.begin < end)
-        for period, (begin, end) in parts.periods
-    ]
     edges = parts.edges_ns
-    rows: Sequence[_Row] = []
-    if wanted:
-        chosen = _columns(record_rollups, "zone", cells)
-        mine = record_rollups.c.vehicle_pk == vehicle_pk
-        rows = connection.execute(select(*chosen).where(mine, or_(*wanted))).all()
-        if any(row.zone != zone for row in rows):  # it was given another just now: ``rebuild`` is still to come
-            rows, edges = [], ((from_ns, to_ns),)
-    single: Sequence[_Row] = []
-    if edges:
-        spans = [and_(trip_records.c.start_ns >= begin, trip_records.c.start_ns < end) for begin, end in edges]
-        mine = trip_records.c.vehicle_pk == vehicle_pk
-        chosen = _columns(trip_records, "start_ns", cells)
-        single = connection.execute(select(*chosen).where(mine, or_(*spans))).all()
+    periods = [{"period": period, "begin": begin, "end": end} for period, (begin, end) in parts.periods]
+    rows = _in_spans(connection, _SUMS[cells], vehicle_pk, periods, _MOST_PERIODS)
+    if any(row.zone != zone for row in rows):  # it was given another just now: ``rebuild`` is still to come
+        rows, edges = [], ((from_ns, to_ns),)
+    spans = [{"begin": begin, "end": end} for begin, end in edges]
+    single = _in_spans(connection, _SINGLE[cells], vehicle_pk, spans, _MOST_EDGES)
     # A day counts as one, however little of it is asked for.
     days = len({day_of(row.start_ns, zone) for row in single})
     every = (*rows, *single)
     driven = cell_sums.unpacked([row.cells for row in every]) if cells else None
-    record = record_sums.record_of(record_sums.added(row.record for row in every), driven)
+    record = record_sums.record_of((row.record for row in every), driven)
     return replace(record, days=record.days + days)
 
 
 def bounds_ns(connection: Connection, vehicle_pk: int) -> tuple[int, int] | None:
     """When the first and the last of a vehicle's trips with a record began; None where there is none."""
-    mine = select(trip_records.c.start_ns).where(trip_records.c.vehicle_pk == vehicle_pk).limit(1)
-    oldest = connection.execute(mine.order_by(trip_records.c.start_ns)).scalar()
-    newest = connection.execute(mine.order_by(trip_records.c.start_ns.desc())).scalar()
+    oldest, newest = connection.execute(_BOUNDS, {"vehicle_pk": vehicle_pk}).one()
     return None if oldest is None or newest is None else (oldest, newest)
 
 
@@ -231,12 +219,54 @@ def _keep(
 
 
 def _told(period: Period, made_of: Sequence[_Row]) -> dict[str, Any]:
-    told = record_sums.added(one.record for one in made_of)
+    told = record_sums.added([one.record for one in made_of])
     if period is Period.DAY:
         told["sums"]["days"] = 1
     # In an order of their own, as the same sums are to be the same bytes whichever rows came first.
     return {**told, "sums": dict(sorted(told["sums"].items())), "evidence": dict(sorted(told["evidence"].items()))}
 
 
-def _columns(table: Table, key: str, cells: bool) -> list[Column[Any]]:
-    return [table.c[name] for name in (key, "record", *(("cells",) if cells else ()))]
+def _spans(table: Table, key: str, begin: str, most: int, *also: str) -> dict[bool, Select[Any]]:
+    """The query for records of a vehicle in some spans of time, without cells and with them, made and compiled once."""
+    any_of = [
+        and_(
+            table.c[begin] >= bindparam(f"begin{number}"),
+            table.c[begin] < bindparam(f"end{number}"),
+            *(table.c[name] == bindparam(f"{name}{number}") for name in also),
+        )
+        for number in range(most)
+    ]
+    mine = table.c.vehicle_pk == bindparam("vehicle_pk")
+    return {
+        cells: select(*(table.c[name] for name in (key, "record", *(("cells",) if cells else ())))).where(
+            mine, or_(*any_of)
+        )
+        for cells in (False, True)
+    }
+
+
+def _in_spans(
+    connection: Connection, query: Select[Any], vehicle_pk: int, spans: Sequence[Mapping[str, Any]], most: int
+) -> Sequence[_Row]:
+    if not spans:
+        return []
+    # Fewer than the query has room for: the last one again, which finds nothing twice.
+    filled = [*spans, *[spans[-1]] * (most - len(spans))]
+    values = {f"{name}{number}": value for number, span in enumerate(filled) for name, value in span.items()}
+    return connection.execute(query, {"vehicle_pk": vehicle_pk} | values).all()
+
+
+_MOST_PERIODS: Final = 2 * len(Period) - 1
+"""Spans in which a cover has whole periods: years are together, shorter ones lie at both ends."""
+_MOST_EDGES: Final = 2
+_SUMS: Final = _spans(record_rollups, "zone", "begin", _MOST_PERIODS, "period")
+_SINGLE: Final = _spans(trip_records, "start_ns", "start_ns", _MOST_EDGES)
+
+
+def _bound(newest: bool) -> ScalarSelect[int]:
+    at = trip_records.c.start_ns
+    mine = select(at).where(trip_records.c.vehicle_pk == bindparam("vehicle_pk"))
+    return mine.order_by(at.desc() if newest else at).limit(1).scalar_subquery()
+
+
+_BOUNDS: Final = select(_bound(newest=False), _bound(newest=True))

@@ -51,12 +51,16 @@ class PacketRow:
     received_ns: int
 
 
-def find(connection: Connection, tenant_id: str, vehicle_id: str) -> VehicleRow | None:
-    """The tenant's vehicle of that name."""
+def find(
+    connection: Connection, tenant_id: str, vehicle_id: str, *, with_calibrations: bool = True
+) -> VehicleRow | None:
+    """The tenant's vehicle of that name; its calibrations cost more to find than all the rest."""
     row = connection.execute(
         select(vehicles).where(vehicles.c.tenant_id == tenant_id, vehicles.c.vehicle_id == vehicle_id)
     ).one_or_none()
-    return None if row is None else _vehicle(connection, row)
+    if row is None:
+        return None
+    return _vehicle(connection, row) if with_calibrations else _vehicle_with(row, ())
 
 
 def page(connection: Connection, tenant_id: str, after_id: str | None, limit: int) -> list[VehicleRow]:

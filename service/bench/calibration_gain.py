@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
+from scipy.stats import ttest_rel
 
 from core.earth import ned_offset_m
 from core.measurements import GNSS, FloatArray
@@ -26,6 +27,8 @@ SOLUTIONS: Final = {
 }
 DRAWS: Final = 4
 """Drives of each box over each route, with other noise: within one, luck decides where the two boxes are near."""
+CHANCE: Final = 0.025
+"""How often two boxes that are as good as each other may be told apart, one-sided; usual."""
 
 GNSS_ALONE: Final = ("gnss_held", "gnss_carried_on")
 
@@ -33,12 +36,16 @@ GNSS_ALONE: Final = ("gnss_held", "gnss_carried_on")
 def measure(
     tell: Tell, seeds: Sequence[int] = SEEDS, duration_s: float | None = None, draws: int = DRAWS
 ) -> dict[str, Any]:
-    """RMS and greatest error in each outage by solution, and in how many outages the order is another than expected."""
-    outages: list[dict[str, Any]] = []
+    """RMS and greatest error in each outage by solution, and in how many outages the order is another than expected.
+
+    The calibrated box is corrected by its true parameters, so no calibration could do better.
+    """
+    by_draw: list[tuple[dict[str, Any], ...]] = []
     for done, seed in enumerate(seeds):
         tell(done, len(seeds))
         drives = [drive_of(simulate(SCENARIO, seed, duration_s, draw=draw)) for draw in range(draws)]
-        outages += [_over_draws(same) for same in zip(*(_of_drive(drive, seed) for drive in drives), strict=True)]
+        by_draw += zip(*(_of_drive(drive, seed) for drive in drives), strict=True)
+    outages = [_over_draws(same) for same in by_draw]
     rms = {name: np.array([one[name]["rms_m"] for one in outages]) for name in SOLUTIONS}
     largest = {name: np.array([one[name]["max_m"] for one in outages]) for name in SOLUTIONS}
     alone = np.minimum(*(rms[name] for name in GNSS_ALONE))
@@ -55,6 +62,7 @@ def measure(
         },
         "outages": outages,
         "calibrated_not_better": int(np.sum(rms["calibrated"] >= rms["uncalibrated"])),
+        "calibrated_worse_beyond_chance": sum(_is_worse_beyond_chance(same) for same in by_draw),
         "calibrated_not_beating_gnss": int(np.sum(rms["calibrated"] >= alone)),
         "uncalibrated_not_beating_gnss": int(np.sum(rms["uncalibrated"] >= alone)),
     }
@@ -70,6 +78,12 @@ def _over_draws(same: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "max_m": max(one[name]["max_m"] for one in same),
         }
     return out
+
+
+def _is_worse_beyond_chance(same: Sequence[dict[str, Any]]) -> bool:
+    """Whether the calibrated box has the greater error over the same routes and noises, by more than luck explains."""
+    calibrated, as_soldered = ([one[name]["rms_m"] for one in same] for name in ("calibrated", "uncalibrated"))
+    return len(same) > 1 and bool(ttest_rel(calibrated, as_soldered, alternative="greater").pvalue < CHANCE)
 
 
 def _of_drive(drive: Drive, seed: int) -> list[dict[str, Any]]:

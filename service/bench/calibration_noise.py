@@ -56,6 +56,9 @@ def measure(place: Path, tell: Tell) -> dict[str, Any]:
         "random_walk_outside": _outside(walks, RANDOM_WALK),
         "floor_rms": rms,
         "floors_outside": sum(_outside([one["value"]], FLOOR) > 0.0 for one in floors),
+        "floors_non_overlapping_outside": sum(
+            _outside([one["floor_non_overlapping"]], FLOOR) > 0.0 for one in axes.values()
+        ),
         "floor_intervals_outside": len(axes)
         - sum(one["low"] <= FLOOR[1] and one["high"] >= FLOOR[0] for one in floors),
     }

@@ -79,6 +79,10 @@ def _calibration(found: Mapping[str, Any]) -> Iterable[str]:
     cells = (f"{_m(one['rms_m'], 1)} / {_m(one['max_m'], 1)}" for one in found["solutions"].values())
     rows.append(("all", "", *cells))
     yield from aligned(rows)
+    yield (
+        f"calibrated by its true parameters it is not better in {found['calibrated_not_better']} outages, and in "
+        f"{found['calibrated_worse_beyond_chance']} of them worse by more than luck explains"
+    )
 
 
 def _mobile_mapping(found: Mapping[str, Any]) -> Iterable[str]:

@@ -100,6 +100,7 @@ def test_integrated_and_calibrated_is_compared_with_gnss_alone(calibration):
         assert 0.0 < outage[name]["rms_m"] <= outage[name]["max_m"]
     # Half a kilometre driven without a fix: a held one is left behind by hundreds of metres.
     assert outage["gnss_held"]["max_m"] > 100.0
+    assert calibration["calibrated_worse_beyond_chance"] <= calibration["calibrated_not_better"]
     assert calibration["calibrated_not_better"] == int(outage["calibrated"]["rms_m"] >= outage["uncalibrated"]["rms_m"])
 
 

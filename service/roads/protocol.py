@@ -79,7 +79,7 @@ class MatchedPoints:
     street_index, district_index : (n,) int64
         Into ``streets`` and ``districts``; ``NO_NAME`` where not known. A district is known without a road, too.
     failed : (n,) bool
-        Nothing was looked up, as the process that matches died or did not answer: unknown for now, not for good.
+        Looking it up failed, as the process that matches died or did not answer: unknown for now, not for good.
     streets, districts : tuple of str
         The names that occur, each once.
     """

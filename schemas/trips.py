@@ -34,6 +34,10 @@ class Trip(Model):
     coasting_s: float = Field(description="Time without GNSS.")
     max_speed_mps: float
     assessed: bool = Field(description="Whether its risk is known, as it is now; it takes some seconds after its end.")
+    road_lookup: Literal["done", "retrying", "failed"] | None = Field(
+        description="Whether the roads under it were looked up: retrying where that failed in part and is done again, "
+        "failed where these stay unknown, so that coverage is lower; null while not assessed."
+    )
     night_share: float | None = Field(
         default=None,
         description="Of the distance, from dusk to dawn by the sun; null while not assessed, and in lists.",
@@ -94,7 +98,14 @@ class Manoeuvre(BaseModel):
     aggressive: bool = Field(description="Beyond the harsh threshold: always, but for ordinary changes of lane.")
     counted: bool = Field(description="False for a repeat within a minute, and for taking up speed after braking.")
     recovery: bool
-    excused: Literal["accident", "reviewer"] | None = Field(description="Why it does not count against the driver.")
+    excused: Literal["accident", "hazard", "reviewer"] | None = Field(
+        description="Why it does not count against the driver: its own accident, a hazard (another vehicle's accident "
+        "ahead, a pothole that was struck), or a reviewer's word."
+    )
+    excused_by: str | None = Field(
+        description="The accident, or of a pothole the candidate, that explains it; null for keys without "
+        "positions:read, as it tells where the vehicle was."
+    )
     verdict: Literal["confirmed", "defensive", "false"] | None = Field(description="A reviewer's; null without one.")
     speed_before_mps: float | None
     speed_at_peak_mps: float | None

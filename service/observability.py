@@ -45,6 +45,9 @@ class Metrics:
         )
         self.accidents_total = counter("accidents", "Accidents found.", "severity")
         self.trips_assessed_total = counter("trips_assessed", "Trips assessed, or assessed anew.", "outcome")
+        self.trips_unmatched_total = counter(
+            "trips_unmatched", "Assessments in which a trip's roads could not be looked up, by what follows.", "outcome"
+        )
         self.webhook_deliveries_total = counter("webhook_deliveries", "Attempts to deliver a webhook.", "outcome")
 
         self.journal_queue = gauge("journal_queue", "Packets that wait to become durable.")

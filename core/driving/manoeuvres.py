@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from core.accident.events import VehicleMotion
 from core.driving import manoeuvre_scan as scan
+from core.driving.hazards import Braking, pothole_explains
 from core.driving.horizontal import HorizontalMotion, Levelling, LevellingTuning
 from core.measurements import FloatArray
 from core.tunables import Tunables, tunable
@@ -253,12 +254,21 @@ class ManoeuvreTracker:
 
 
 def explained(
-    episodes: Iterable[Episode], causes_t_ns: Sequence[int], thresholds: ManoeuvreThresholds | None = None
+    episodes: Iterable[Episode],
+    causes_t_ns: Sequence[int],
+    potholes_t_ns: Sequence[int] = (),
+    thresholds: ManoeuvreThresholds | None = None,
 ) -> list[Episode]:
-    """The episodes, those marked as defensive that a hazard or an accident explains (``is_explained``)."""
+    """The episodes, those marked as defensive that a hazard or an accident explains (``is_explained``), or a pothole
+    that was struck (``pothole_explains``)."""
+
+    def struck(one: Episode) -> bool:
+        braking = Braking(one.start_t_ns, one.end_t_ns)
+        return one.kind is Manoeuvre.BRAKING and any(pothole_explains(braking, t_ns) for t_ns in potholes_t_ns)
+
     return [
         replace(one, defensive=True)
-        if is_explained(one.kind, one.start_t_ns, one.end_t_ns, causes_t_ns, thresholds)
+        if is_explained(one.kind, one.start_t_ns, one.end_t_ns, causes_t_ns, thresholds) or struck(one)
         else one
         for one in episodes
     ]

@@ -9,9 +9,11 @@ from typing import Final
 
 from core.driving.exposure import Driven
 from core.scoring.credibility import NORMAL_95, Estimate, Shrunk, summed
-from core.scoring.record import Evidence, Record, heaviest
+from core.scoring.record import Evidence, Record, together
 from core.scoring.score import Contribution, Part, evidence_of
 
+EvidenceOf = Callable[[Sequence[Sequence[str]]], Sequence[tuple[Evidence, ...]]]
+"""What is evidence of each of some groups of labels, of which those that weigh most come first."""
 NEVER_KNOWN: Final = 1e-9
 _FLAT: Final = 1e-9
 """As near to 1 a ratio of differences is left to rounding, and its limit is exact to as much."""
@@ -31,6 +33,7 @@ class Facet:
     group : the name and label under which a label is told
     told : as many groups are told one by one, the others together
     weight : exponent of the facet's relativity
+    evidence : of what is told; None where the record itself names it
     """
 
     name: str
@@ -43,6 +46,7 @@ class Facet:
     count_km: float
     told: int
     weight: float = 1.0
+    evidence: EvidenceOf | None = None
 
 
 def known_share(exposed: Mapping[str, Driven], relativity: Mapping[str, float], total_mm: int) -> float:
@@ -108,21 +112,23 @@ def _told(
     grouped: dict[tuple[str, str], list[str]] = {}
     for label in excess:
         grouped.setdefault(facet.group(label), []).append(label)
-    weights = {group: math.fsum(excess[label] for label in labels) for group, labels in grouped.items()}
+    weights = {
+        group: excess[labels[0]] if len(labels) == 1 else math.fsum(excess[label] for label in labels)
+        for group, labels in grouped.items()  # thousands of cells, each by itself
+    }
     ranked = sorted(grouped, key=lambda group: (-abs(weights[group]), group))
     others = [label for group in ranked[facet.told :] for label in grouped[group]]
     told = {group: grouped[group] for group in ranked[: facet.told]} | (
         {(f"{facet.name}:others", f"other {facet.label}"): others} if others else {}
     )
+    behind = facet.evidence or (lambda groups: [_behind(facet, labels, record) for labels in groups])
     made = []
-    for (name, label), labels in told.items():
+    for ((name, label), labels), evidence in zip(told.items(), behind(list(told.values())), strict=True):
         usual = math.fsum(facet.share[one] for one in labels) if facet.share else None
         share = math.fsum(known.get(one, 0.0) for one in labels)
         made.append(
             (
-                Contribution(
-                    name, label, 0.0, value=share, portfolio=usual, unit="1", evidence=_behind(facet, labels, record)
-                ),
+                Contribution(name, label, 0.0, value=share, portfolio=usual, unit="1", evidence=evidence),
                 math.fsum(excess[one] for one in labels),
             )
         )
@@ -131,8 +137,4 @@ def _told(
 
 def _behind(facet: Facet, labels: Sequence[str], record: Record) -> tuple[Evidence, ...]:
     """What is evidence of any of some labels, a trip once with all that it drove under them."""
-    weights: dict[tuple[str, str], int] = {}
-    for label in labels:
-        for piece in evidence_of(record, f"{facet.name}:{label}"):
-            weights[piece.kind, piece.id] = weights.get((piece.kind, piece.id), 0) + piece.weight
-    return heaviest(Evidence(weight, *which) for which, weight in weights.items())
+    return together(piece for label in labels for piece in evidence_of(record, f"{facet.name}:{label}"))

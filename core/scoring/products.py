@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from core.errors import InvalidInputError
+from core.scoring.facets import EvidenceOf
 from core.scoring.model import ScoreModel
 from core.scoring.payd import payd
 from core.scoring.phyd import phyd
@@ -12,8 +13,15 @@ from core.scoring.record import Record
 from core.scoring.score import Product, Score
 
 
-def score(product: str, record: Record, days: float, model: ScoreModel, places: Places | None = None) -> Score:
-    """A product's score; ``places`` is for PWYD alone.
+def score(
+    product: str,
+    record: Record,
+    days: float,
+    model: ScoreModel,
+    places: Places | None = None,
+    cell_evidence: EvidenceOf | None = None,
+) -> Score:
+    """A product's score; ``places`` and ``cell_evidence`` are for PWYD alone.
 
     Raises
     ------
@@ -25,7 +33,7 @@ def score(product: str, record: Record, days: float, model: ScoreModel, places: 
     if product == Product.PHYD:
         return phyd(record, days, model)
     if product == Product.PWYD:
-        return pwyd(record, days, model, places)
+        return pwyd(record, days, model, places, cell_evidence)
     raise InvalidInputError(f"no product '{product}': expected one of {', '.join(Product)}")
 
 

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from core.driving.exposure import Facet as Exposed
-from core.scoring.facets import Facet, facet_part, known_share
+from core.scoring.facets import EvidenceOf, Facet, facet_part, known_share
 from core.scoring.model import FacetRisk, ScoreModel
 from core.scoring.places import Places
 from core.scoring.record import Record
 from core.scoring.score import Basis, Product, Score, checked_days, nothing_driven
 
 
-def pwyd(record: Record, days: float, model: ScoreModel, places: Places | None = None) -> Score:
+def pwyd(
+    record: Record,
+    days: float,
+    model: ScoreModel,
+    places: Places | None = None,
+    cell_evidence: EvidenceOf | None = None,
+) -> Score:
     """PWYD score of a period; a product of facets.
 
     A place counts once: by its cell where the portfolio's own figures know that, and for the share of the distance
     where they do not, by its district, whose exponent is that share. What has no relativity counts as the portfolio's
     mean; where nothing has, the score is the portfolio's, its interval as wide as drivers differ, and coverage is 0.
+    A record names no evidence of cells, of which there are too many: ``cell_evidence`` does, of those that are told.
 
     Raises
     ------
@@ -51,6 +58,7 @@ def pwyd(record: Record, days: float, model: ScoreModel, places: Places | None =
             shape=model.cell_shape,
             count_km=model.cell_count_km,
             told=model.told,
+            evidence=cell_evidence,
         )
         parts.append(facet_part(cells, record.cells, record))
     return basis.scored(parts)

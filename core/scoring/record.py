@@ -179,5 +179,13 @@ def heaviest(pieces: Iterable[Evidence]) -> tuple[Evidence, ...]:
     return tuple(sorted(set(pieces), key=lambda piece: (-piece.weight, piece.kind, piece.id))[:MOST_EVIDENCE])
 
 
+def together(pieces: Iterable[Evidence]) -> tuple[Evidence, ...]:
+    """The heaviest of pieces that may tell of the same thing several times: it weighs as much as they do together."""
+    weights: dict[tuple[str, str], int] = {}
+    for piece in pieces:
+        weights[piece.kind, piece.id] = weights.get((piece.kind, piece.id), 0) + piece.weight
+    return heaviest(Evidence(weight, *which) for which, weight in weights.items())
+
+
 def _driven(labels: Mapping[str, Any]) -> dict[str, Driven]:
     return {label: Driven(*driven) for label, driven in labels.items()}

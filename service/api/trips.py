@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Final
+import time
+from typing import Annotated, Any, Final, Literal
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from sqlalchemy import Connection
@@ -142,8 +143,18 @@ def _trip(row: TripRow, caller: Principal) -> Trip:
         moving_s=row.moving_s,
         coasting_s=row.coasting_s,
         max_speed_mps=row.max_speed_mps,
-        assessed=row.assessed_ns is not None and row.due_ns is None,
+        # Due later than now it is assessed, but for roads that are looked up again.
+        assessed=row.assessed_ns is not None and (row.due_ns is None or row.due_ns > time.time_ns()),
+        road_lookup=_road_lookup(row),
     )
+
+
+def _road_lookup(row: TripRow) -> Literal["done", "retrying", "failed"] | None:
+    if row.assessed_ns is None:
+        return None
+    if row.road_failures is None:
+        return "done"
+    return "failed" if row.due_ns is None else "retrying"
 
 
 def _track_properties(trip: TripRow, rows: list[TrackRow]) -> dict[str, Any]:

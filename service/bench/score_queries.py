@@ -32,7 +32,7 @@ from service.bench.target import TargetFailedError
 from service.cells import RESOLUTION
 from service.demo.service_process import ServiceProcess, free_port
 from service.local_days import day_of
-from service.storage import cell_sums, record_sums, records, schema, tenants, vehicles
+from service.storage import cell_sums, record_sums, records, schema, tenants, trip_cells, vehicles
 from service.storage.database import open_database, read, write
 from service.storage.tables import trip_records, trips
 
@@ -54,12 +54,13 @@ def seed(connection: Connection, vehicle_pk: int, count: int = TRIPS, *, rng: ra
     """Give a vehicle so many trips with records, evenly over the years; the same for the same ``rng``."""
     rng = rng or random.Random(1)
     places = _places(rng)
-    rows, told = [], []
+    rows, told, driven = [], [], []
     for number in range(count):
         start_ns = BEGIN_NS + number * (_SPAN_NS // count) + rng.randrange(_SPAN_NS // count)
         trip_id = f"{vehicle_pk}-{number}"
         record = _record(rng, trip_id, start_ns, rng.choice(places))
         rows.append(_trip(vehicle_pk, trip_id, start_ns, record))
+        driven.append((start_ns, cell_sums.packed(record.cells)))
         told.append(
             {
                 "trip_id": trip_id,
@@ -69,13 +70,14 @@ def seed(connection: Connection, vehicle_pk: int, count: int = TRIPS, *, rng: ra
                 "model_sha256": "0" * 64,
                 "assessed_ns": start_ns,
                 "record": record_sums.told_of(record),
-                "cells": cell_sums.packed(record.cells),
+                "cells": driven[-1][1],
                 "timeline": bytes(_TIMELINE_BYTES),
             }
         )
     for begin in range(0, count, _CHUNK):
         connection.execute(insert(trips), rows[begin : begin + _CHUNK])
         connection.execute(insert(trip_records), told[begin : begin + _CHUNK])
+    trip_cells.replace(connection, vehicle_pk, [], driven)
     records.rebuild(connection, vehicle_pk)
 
 

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from sqlalchemy import Connection, and_, not_, or_, update
 
+from core.accident.events import NoAccident
 from core.accident.placing import Accident, Suppressed
 from core.calibration.drift import BiasUpdate
 from core.driving.manoeuvres import Episode
@@ -102,7 +103,8 @@ class Effects:
             store_episode(connection, self.ref, episode, stored_ns)
         for suppressed, received_ns in self.suppressed:
             row = candidate_row(self.ref, suppressed, received_ns=received_ns, stored_ns=stored_ns)
-            candidates.put(connection, row)
+            if candidates.put(connection, row) and row.reason == NoAccident.POTHOLE:  # it may explain a braking
+                storage_trips.mark_due(connection, self.ref.pk, row.t_ns, row.t_ns, stored_ns)
         new = [self._store_accident(connection, *found, stored_ns) for found in self.accidents]
         new += [self._trip_completed(*ended) for ended in self._trips.values() if ended[0].ended]
         for learnt in self.biases:
@@ -173,7 +175,7 @@ class Effects:
             max_speed_mps=trip.max_speed_mps,
             due_ns=stored_ns,
         )
-        kept = ("id", "assessed_ns", "model_sha256")
+        kept = ("id", "assessed_ns", "model_sha256", "road_failures")
         # Computed again after a crash, a trip's earlier state must not take the place of its later one.
         connection.execute(
             insert.on_conflict_do_update(

@@ -11,7 +11,7 @@ import numpy as np
 from core.risk.belief import named
 from core.scoring.explaining import sentence
 from core.scoring.premium import Quote
-from core.scoring.record import Record
+from core.scoring.record import Record, together
 from core.scoring.score import Contribution, Product, Score
 from schemas.scores import (
     DrivenRecord,
@@ -113,7 +113,7 @@ def _without_cells(score: Score) -> tuple[Contribution, ...]:
     if not cells:
         return score.contributions
     known = [one.value for one in cells if one.value is not None]
-    together = replace(
+    as_one = replace(
         cells[0],
         name=PLACES,
         label="the neighbourhoods driven in",
@@ -122,11 +122,11 @@ def _without_cells(score: Score) -> tuple[Contribution, ...]:
         value=math.fsum(known) if known else None,
         counted=None,
         portfolio=None,
-        evidence=(),
+        evidence=together(piece for one in cells for piece in one.evidence),
     )
     first = score.contributions.index(cells[0])
     others = [one for one in score.contributions if not one.name.startswith(_CELL)]
-    return (*others[:first], together, *others[first:])
+    return (*others[:first], as_one, *others[first:])
 
 
 def _belief(scored: Scored) -> dict[str, dict[str, float]]:

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from core.accident.events import Status
+from core.accident.events import NoAccident, Status
 from core.accident.placing import Accident, Suppressed
 from core.driving.manoeuvres import Episode, explained
 from core.earth import ned_offset_m
@@ -164,6 +164,7 @@ def fuse(
             track = solution.track
     last = {one.impact.t_ns: one for one in told}
     standing = tuple(one for one in last.values() if one.impact.status is not Status.RETRACTED)
+    potholes = [one.candidate.t_ns for one in suppressed if one.candidate.reason is NoAccident.POTHOLE]
     return Fused(
         track,
         standing,
@@ -174,7 +175,7 @@ def fuse(
         solution=solution,
         records=records,
         suppressed=tuple(suppressed),
-        episodes=tuple(explained(episodes, [one.impact.t_ns for one in standing])),
+        episodes=tuple(explained(episodes, [one.impact.t_ns for one in standing], potholes)),
         told=tuple(told),
     )
 

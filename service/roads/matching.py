@@ -87,7 +87,7 @@ class RoadService:
             "match", [[one[taken[first:last]] for one in columns] for first, last, _ in stretches]
         )
         parts = [
-            MatchedPoints.unknown(kept.stop - kept.start)
+            MatchedPoints.unknown(kept.stop - kept.start, failed=True)
             if one is None
             else one.at(np.arange(kept.start - first, kept.stop - first))
             for one, (first, _, kept) in zip(found, stretches, strict=True)

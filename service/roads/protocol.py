@@ -78,6 +78,8 @@ class MatchedPoints:
     tunnel : (n,) bool
     street_index, district_index : (n,) int64
         Into ``streets`` and ``districts``; ``NO_NAME`` where not known. A district is known without a road, too.
+    failed : (n,) bool
+        Looking it up failed, as the process that matches died or did not answer: unknown for now, not for good.
     streets, districts : tuple of str
         The names that occur, each once.
     """
@@ -94,6 +96,7 @@ class MatchedPoints:
     tunnel: BoolArray
     street_index: IntArray
     district_index: IntArray
+    failed: BoolArray
     streets: tuple[str, ...]
     districts: tuple[str, ...]
 
@@ -134,7 +137,7 @@ class MatchedPoints:
         )
 
     @classmethod
-    def unknown(cls, n: int) -> MatchedPoints:
+    def unknown(cls, n: int, *, failed: bool = False) -> MatchedPoints:
         """Nothing known of n points."""
         return cls(
             way_id=np.full(n, NO_WAY, np.int64),
@@ -149,6 +152,7 @@ class MatchedPoints:
             tunnel=np.zeros(n, np.bool_),
             street_index=np.full(n, NO_NAME, np.int64),
             district_index=np.full(n, NO_NAME, np.int64),
+            failed=np.full(n, failed, np.bool_),
             streets=(),
             districts=(),
         )

@@ -174,6 +174,7 @@ class Tracer:
             tunnel=known & network.tunnel[row],
             street_index=street_index,
             district_index=district_index,
+            failed=np.zeros(known.size, np.bool_),
             streets=streets,
             districts=districts,
         )

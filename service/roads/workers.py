@@ -86,6 +86,7 @@ class _Worker:
             if problem is not None:
                 logger.error("roads: %s failed: %s", method, problem)
             return result
+        logger.error("roads: %s ended or held up %d processes one after the other and is given up", method, _TRIES)
         return None
 
     def end(self) -> None:

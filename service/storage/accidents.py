@@ -128,6 +128,14 @@ def of_trip(connection: Connection, tenant_id: str, trip_id: str) -> list[Accide
     return [_accident(row) for row in connection.execute(statement)]
 
 
+def of_others(connection: Connection, tenant_id: str, vehicle_pk: int, wanted: WhereAndWhen) -> list[AccidentRow]:
+    """Accidents of the tenant's other vehicles that nobody took back, the newest first."""
+    table = accidents
+    theirs = and_(table.c.vehicle_pk != vehicle_pk, table.c.status.in_(SHOWN))
+    rows = connection.execute(page_of(table, _accidents(tenant_id).where(theirs), wanted, after=None, limit=None))
+    return [_accident(row) for row in rows]
+
+
 def strays(connection: Connection, vehicle_pk: int, trip_id: str, from_ns: int, to_ns: int) -> dict[str, str | None]:
     """Accidents in the time of a trip, by id, with the earlier trip, or none, to which they were counted before it was
     told."""

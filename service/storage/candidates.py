@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, select, update
+from sqlalchemy import Connection, Row, Select, and_, select, update
 
 from service.storage.places import WhereAndWhen, of_tenant, page_of
 from service.storage.statements import insert_into
@@ -47,11 +47,21 @@ class CandidateFilter:
     reasons: Collection[str] | None = None
 
 
-def put(connection: Connection, row: CandidateRow) -> None:
-    """Store a candidate, unless it is there."""
+def put(connection: Connection, row: CandidateRow) -> bool:
+    """Store a candidate, unless it is there; whether it was not."""
     values = {column.name: getattr(row, column.name) for column in accident_candidates.c}
     insert = insert_into(connection, accident_candidates).values(**values | {"detail": dict(row.detail)})
-    connection.execute(insert.on_conflict_do_nothing(index_elements=[accident_candidates.c.id]))
+    # Told by what returns: PostgreSQL's driver counts no rows here.
+    new = insert.on_conflict_do_nothing(index_elements=[accident_candidates.c.id])
+    return connection.execute(new.returning(accident_candidates.c.id)).first() is not None
+
+
+def between(connection: Connection, vehicle_pk: int, from_ns: int, to_ns: int, reason: str) -> list[CandidateRow]:
+    """A vehicle's candidates of one name in a time, both ends included, in their order."""
+    table = accident_candidates
+    mine = and_(table.c.vehicle_pk == vehicle_pk, table.c.t_ns.between(from_ns, to_ns), table.c.reason == reason)
+    chosen = select(table, vehicles.c.vehicle_id).join(vehicles, vehicles.c.pk == table.c.vehicle_pk).where(mine)
+    return [_candidate(row) for row in connection.execute(chosen.order_by(table.c.t_ns, table.c.id))]
 
 
 def judge(connection: Connection, candidate_id: str, verdict: str) -> None:

@@ -35,6 +35,12 @@ def unpacked(parts: Sequence[bytes]) -> dict[str, Driven]:
     return dict(zip(names, map(Driven, *driven.tolist()), strict=True)) if names else {}
 
 
+def distances_mm(part: bytes) -> dict[int, int]:
+    """By a cell's index how far was driven in it, but for what is in none that is known."""
+    index, distance_mm, _ = np.frombuffer(part, "<i8").reshape(3, -1).tolist()
+    return {cell: mm for cell, mm in zip(index, distance_mm, strict=True) if cell and mm}
+
+
 def _sum_of(parts: Sequence[bytes]) -> _Columns:
     columns = [np.frombuffer(part, "<i8").reshape(3, -1) for part in parts]
     if not columns:

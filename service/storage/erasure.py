@@ -27,6 +27,7 @@ from service.ingest.sequencing import Sequencer
 from service.local_days import DEFAULT_ZONE
 from service.storage import records
 from service.storage.database import read, write
+from service.storage.manoeuvres import forget_cause
 from service.storage.retention import CHUNK
 from service.storage.tables import (
     accident_candidates,
@@ -143,6 +144,7 @@ def remove(connection: Connection, ref: VehicleRef, span: Span, anew: Callable[[
     gone(reviews, reviews.c.vehicle_pk == pk, _reviewed_in(pk, span))
     gone(events, mine(events, events.c.t_ns))
     gone(evidence, mine(evidence, evidence.c.t_ns))
+    forget_cause(connection, select(accidents.c.id).where(mine(accidents, accidents.c.t_ns)))
     gone(accidents, mine(accidents, accidents.c.t_ns))
     gone(accident_candidates, mine(accident_candidates, accident_candidates.c.t_ns))
     gone(manoeuvres, mine(manoeuvres, manoeuvres.c.start_ns))

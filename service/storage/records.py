@@ -27,7 +27,7 @@ from sqlalchemy import (
 
 from core.scoring.record import Record
 from service.local_days import DEFAULT_ZONE, Period, cover, day_of
-from service.storage import cell_sums, record_sums
+from service.storage import cell_sums, record_sums, trip_cells
 from service.storage.statements import insert_into
 from service.storage.tables import record_rollups, trip_records
 
@@ -59,14 +59,16 @@ def put(connection: Connection, row: TripRecord, *, zone: str = DEFAULT_ZONE) ->
     """
     _lock(connection, row.vehicle_pk)
     day = day_of(row.start_ns, zone)
-    before = connection.execute(select(trip_records.c.day).where(trip_records.c.trip_id == row.trip_id)).scalar()
+    was = select(trip_records.c.day, trip_records.c.start_ns, trip_records.c.cells)
+    before = connection.execute(was.where(trip_records.c.trip_id == row.trip_id)).one_or_none()
+    cells = cell_sums.packed(row.record.cells)
     values = {
         "trip_id": row.trip_id,
         "vehicle_pk": row.vehicle_pk,
         "start_ns": row.start_ns,
         "day": day,
         "record": record_sums.told_of(row.record),
-        "cells": cell_sums.packed(row.record.cells),
+        "cells": cells,
         "timeline": row.timeline,
         "model_sha256": row.model_sha256,
         "assessed_ns": row.assessed_ns,
@@ -78,7 +80,9 @@ def put(connection: Connection, row: TripRecord, *, zone: str = DEFAULT_ZONE) ->
             set_={name: statement.excluded[name] for name in values if name != "trip_id"},
         )
     )
-    _sum_up(connection, row.vehicle_pk, {day} if before is None else {day, before}, zone)
+    was_driven = [] if before is None else [(before.start_ns, before.cells)]
+    trip_cells.replace(connection, row.vehicle_pk, was_driven, [(row.start_ns, cells)])
+    _sum_up(connection, row.vehicle_pk, {day} if before is None else {day, before.day}, zone)
 
 
 def remove(connection: Connection, vehicle_pk: int, *trips: ColumnElement[bool], zone: str = DEFAULT_ZONE) -> int:
@@ -88,9 +92,11 @@ def remove(connection: Connection, vehicle_pk: int, *trips: ColumnElement[bool],
     """
     _lock(connection, vehicle_pk)
     mine = and_(trip_records.c.vehicle_pk == vehicle_pk, *trips)
-    days = connection.scalars(delete(trip_records).where(mine).returning(trip_records.c.day)).all()
-    _sum_up(connection, vehicle_pk, set(days), zone)
-    return len(days)
+    told = trip_records.c.day, trip_records.c.start_ns, trip_records.c.cells
+    gone = connection.execute(delete(trip_records).where(mine).returning(*told)).all()
+    trip_cells.replace(connection, vehicle_pk, [(row.start_ns, row.cells) for row in gone], [])
+    _sum_up(connection, vehicle_pk, {row.day for row in gone}, zone)
+    return len(gone)
 
 
 def find(connection: Connection, trip_id: str) -> TripRecord | None:

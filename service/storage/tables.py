@@ -209,11 +209,14 @@ trips = Table(
     Column("due_ns", BigInteger),
     Column("assessed_ns", BigInteger),
     Column("model_sha256", String(64)),
+    Column("road_failures", Integer),
     Index("ix_trips_vehicle_pk_start_ns", "vehicle_pk", "start_ns"),
     Index("ix_trips_due_ns", "due_ns"),
 )
 """``due_ns`` is since when, by the service's clock, a trip waits to be assessed, or assessed anew as something about it
-changed; null where there is nothing to do. ``model_sha256`` names what it was assessed by."""
+changed; null where there is nothing to do, later than now where only its roads are to be looked up again.
+``model_sha256`` names what it was assessed by. ``road_failures`` is how often one after the other some of its roads
+could not be looked up; null where they were."""
 
 manoeuvres = Table(
     "manoeuvres",
@@ -232,6 +235,7 @@ manoeuvres = Table(
     Column("counted", Boolean, nullable=False),
     Column("recovery", Boolean, nullable=False),
     Column("excused", String(16)),
+    Column("excused_by", String(36)),
     Column("verdict", String(16)),
     Column("speed_before_mps", Float(53)),
     Column("speed_at_peak_mps", Float(53)),
@@ -245,10 +249,13 @@ manoeuvres = Table(
     Column("sd_e_m", Float(53)),
     Column("cov_ne_m2", Float(53)),
     Index("ix_manoeuvres_vehicle_pk_start_ns", "vehicle_pk", "start_ns"),
+    Index("ix_manoeuvres_tenant_id_start_ns", "tenant_id", "start_ns"),
+    Index("ix_manoeuvres_excused_by", "excused_by"),
 )
 """A manoeuvre belongs to the trip within whose time it began. ``excused`` says why it does not count against the
-driver: accident or reviewer; ``verdict`` is what a reviewer said last. The place is null where there is none, and goes
-with the track."""
+driver: accident, hazard or reviewer; ``excused_by`` names the accident or candidate that explains it, also when that is
+not kept any more. ``verdict`` is what a reviewer said last. The place is null where there is none, and goes with the
+track."""
 
 trip_records = Table(
     "trip_records",
@@ -267,6 +274,20 @@ trip_records = Table(
 )
 """What a trip adds to scores: ``core.scoring.record.Record`` with its cells apart (``cell_sums``), and its masses
 by second (``service.trips.timeline``). ``day`` is the local one on which it began."""
+
+trip_cells = Table(
+    "trip_cells",
+    metadata,
+    Column(
+        "vehicle_pk", BigInteger, ForeignKey("vehicles.pk", ondelete="CASCADE"), primary_key=True, autoincrement=False
+    ),
+    Column("cell", BigInteger, primary_key=True, autoincrement=False),
+    Column("distance_mm", BigInteger, primary_key=True, autoincrement=False),
+    Column("start_ns", BigInteger, primary_key=True, autoincrement=False),
+    sqlite_with_rowid=False,
+)
+"""The cells of ``trip_records`` once more, so that of each the trips that drove farthest in it are found at once; a
+vehicle's trips are told apart by when they began."""
 
 record_rollups = Table(
     "record_rollups",

@@ -31,6 +31,7 @@ class TripRow:
     due_ns: int | None = None
     assessed_ns: int | None = None
     model_sha256: str | None = None
+    road_failures: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +118,20 @@ def mark_trip_due(connection: Connection, trip_id: str | None, now_ns: int) -> N
     connection.execute(update(trips).where(trips.c.id == trip_id).values(due_ns=now_ns))
 
 
-def mark_assessed(connection: Connection, trip: TripRow, now_ns: int, model_sha256: str) -> bool:
-    """Note that a trip is assessed; False, and nothing noted, where it has changed since it was read."""
-    values = {"due_ns": None, "assessed_ns": now_ns, "model_sha256": model_sha256}
+def mark_assessed(
+    connection: Connection,
+    trip: TripRow,
+    now_ns: int,
+    model_sha256: str,
+    *,
+    again_ns: int | None = None,
+    road_failures: int | None = None,
+) -> bool:
+    """Note that a trip is assessed; False, and nothing noted, where it has changed since it was read.
+
+    ``again_ns`` is when its roads are to be looked up again, which failed so often.
+    """
+    values = {"due_ns": again_ns, "assessed_ns": now_ns, "model_sha256": model_sha256, "road_failures": road_failures}
     same = and_(trips.c.id == trip.id, trips.c.due_ns == trip.due_ns)
     return connection.execute(update(trips).where(same).values(values)).rowcount == 1
 

@@ -16,8 +16,9 @@ from service.ingest.sequencing import Sequencer
 from service.storage import calibrations, tenants
 from service.storage.calibrations import GivenCalibration
 from service.storage.database import read, write
+from service.storage.manoeuvres import forget_cause
 from service.storage.statements import insert_into
-from service.storage.tables import checkpoints, journal, vehicles
+from service.storage.tables import accidents, checkpoints, journal, vehicles
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +95,7 @@ def put(connection: Connection, tenant_id: str, vehicle_id: str, config: Vehicle
 
 def delete_row(connection: Connection, vehicle_pk: int) -> None:
     """Remove a vehicle's row, which takes along every row that is about it; tell the directory after the commit."""
+    forget_cause(connection, select(accidents.c.id).where(accidents.c.vehicle_pk == vehicle_pk))
     connection.execute(delete(vehicles).where(vehicles.c.pk == vehicle_pk))
 
 

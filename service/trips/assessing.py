@@ -32,12 +32,12 @@ from service.risk.instants import EVERY_NS, Instants, by_fixes, by_track, first_
 from service.risk.loading import RiskBasis
 from service.roads.protocol import Certainty, MatchedPoints, RoadClass, RoadMatcher
 from service.storage.accidents import AccidentRow
-from service.storage.manoeuvres import ManoeuvreRow
+from service.storage.manoeuvres import Excuse, ManoeuvreRow
 from service.storage.trips import TrackRow, TripRow
 from service.trips.excusing import with_events
 from service.trips.timeline import FUSED, Timeline
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Of what is made of a trip beside the risk tables; it goes up where the same rows give another record."""
 AROUND_NS: Final = 1_500_000_000
 """Rows of so long before and after a trip are taken along, so that its first and last second lie between two."""
@@ -59,15 +59,21 @@ class TripRows:
     positions: Sequence[TrackRow]
     manoeuvres: Sequence[ManoeuvreRow]
     accidents: Sequence[AccidentRow]
+    hazards: Mapping[str, str | None]
+    """By manoeuvre what explains it (``service.trips.hazards``)."""
 
 
 @dataclass(frozen=True, slots=True)
 class AssessedTrip:
-    """A trip's record, its risk second by second, and why manoeuvres do not count, by their ids."""
+    """A trip's record, its risk second by second, and why manoeuvres do not count, by their ids.
+
+    Of ``unmatched_s`` seconds the roads are unknown only because looking them up failed.
+    """
 
     record: Record
     timeline: Timeline
-    excused: Mapping[str, str | None]
+    excused: Mapping[str, Excuse | None]
+    unmatched_s: int
 
 
 def model_sha256(basis: RiskBasis) -> str:
@@ -98,8 +104,9 @@ def assess_trip(rows: TripRows, config: VehicleConfig, matcher: RoadMatcher, mod
         coverage={name: int(_units(share).sum()) for name, share in assessed.coverage.items()},
     )
     record = _with_exposure(record, rows.trip.id, _exposure(instants, found, track, offsets_s))
-    record, excused = with_events(record, rows.manoeuvres, rows.accidents)
-    return AssessedTrip(record, Timeline.of(t_ns, instants.motion.speed_mps, found, assessed), excused)
+    record, excused = with_events(record, rows.manoeuvres, rows.accidents, rows.hazards)
+    timeline = Timeline.of(t_ns, instants.motion.speed_mps, found, assessed)
+    return AssessedTrip(record, timeline, excused, int(found.failed.sum()))
 
 
 def track_of(positions: Sequence[TrackRow]) -> Track:

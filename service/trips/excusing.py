@@ -1,4 +1,4 @@
-"""Which of a trip's manoeuvres count against its driver, and what its accidents explain."""
+"""Which of a trip's manoeuvres count against its driver, and what accidents and hazards explain."""
 
 from __future__ import annotations
 
@@ -10,24 +10,34 @@ from typing import Final
 from core.driving.manoeuvres import Manoeuvre, is_explained
 from core.scoring.record import Evidence, Record
 from service.storage.accidents import AccidentRow
-from service.storage.manoeuvres import CONFIRMED, DEFENSIVE, FALSE, ManoeuvreRow
+from service.storage.manoeuvres import (
+    ACCIDENT,
+    CONFIRMED,
+    DEFENSIVE,
+    FALSE,
+    HAZARD,
+    REVIEWER,
+    Excuse,
+    ManoeuvreRow,
+)
 
-BY_ACCIDENT: Final = "accident"
-BY_REVIEWER: Final = "reviewer"
 _WEIGHTS: Final[Mapping[str, int]] = {"low_speed": 1, "severe": 2, "airbag": 3}
 
 
 def with_events(
-    record: Record, manoeuvres: Sequence[ManoeuvreRow], accidents: Sequence[AccidentRow]
-) -> tuple[Record, dict[str, str | None]]:
+    record: Record,
+    manoeuvres: Sequence[ManoeuvreRow],
+    accidents: Sequence[AccidentRow],
+    hazards: Mapping[str, str | None],
+) -> tuple[Record, dict[str, Excuse | None]]:
     """A record with these manoeuvres and accidents in the place of its own, and why manoeuvres do not count.
 
-    An accident explains the braking and swerving before it, and whatever it happened in the midst of. Candidates
-    explain nothing: who brakes hard because of a hazard and who does for no reason feel alike, and it is for a reviewer
-    to say which it was.
+    The vehicle's own accident explains the braking and swerving before it, and whatever it happened in the midst of; a
+    hazard the braking that it is told of by (``service.trips.hazards``). Whatever else made somebody brake hard, nobody
+    can feel, and it is for a reviewer to say.
     """
     standing = [one for one in accidents if not one.is_none]
-    reasons = _excuses(manoeuvres, [one.t_ns for one in standing])
+    reasons = _excuses(manoeuvres, standing, hazards)
     counted = [one for one in manoeuvres if one.aggressive and one.counted and one.verdict != FALSE]
     blamed = [one for one in counted if reasons[one.id] is None]
     of_others = {about: told for about, told in record.evidence.items() if about not in (*Manoeuvre, "accidents")}
@@ -49,15 +59,22 @@ def with_events(
     return bare + counts, reasons  # added, so that only the heaviest evidence stays
 
 
-def _excuses(manoeuvres: Sequence[ManoeuvreRow], accidents_ns: Sequence[int]) -> dict[str, str | None]:
-    reasons: dict[str, str | None] = {}
+def _excuses(
+    manoeuvres: Sequence[ManoeuvreRow], accidents: Sequence[AccidentRow], hazards: Mapping[str, str | None]
+) -> dict[str, Excuse | None]:
+    reasons: dict[str, Excuse | None] = {}
     for one in manoeuvres:
         if one.verdict == CONFIRMED or one.verdict == FALSE:
             reasons[one.id] = None
         elif one.verdict == DEFENSIVE:
-            reasons[one.id] = BY_REVIEWER
+            reasons[one.id] = Excuse(REVIEWER)
+        elif (accident := next((other for other in accidents if _is_explained(one, other.t_ns)), None)) is not None:
+            reasons[one.id] = Excuse(ACCIDENT, accident.id)
         else:
-            struck = any(one.start_ns <= t_ns <= one.end_ns for t_ns in accidents_ns)
-            evasive = is_explained(Manoeuvre(one.kind), one.start_ns, one.end_ns, accidents_ns)
-            reasons[one.id] = BY_ACCIDENT if evasive or struck else None
+            reasons[one.id] = Excuse(HAZARD, hazards[one.id]) if one.id in hazards else None
     return reasons
+
+
+def _is_explained(one: ManoeuvreRow, accident_t_ns: int) -> bool:
+    struck = one.start_ns <= accident_t_ns <= one.end_ns
+    return struck or is_explained(Manoeuvre(one.kind), one.start_ns, one.end_ns, [accident_t_ns])

@@ -48,6 +48,8 @@ def shown_manoeuvre(row: ManoeuvreRow, *, places: bool) -> Manoeuvre:
     placed = places and row.lat_deg is not None and row.lon_deg is not None
     if not placed:
         same |= dict.fromkeys(("sd_n_m", "sd_e_m", "cov_ne_m2"))
+    if not places:
+        same["excused_by"] = None
     return Manoeuvre(
         **same | {"direction": row.direction or None},
         start_at=row.start_ns,

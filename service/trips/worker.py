@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,10 +20,13 @@ from service.rating.scoring import Reading
 from service.resting import Rest, StoppedError
 from service.roads.protocol import RoadMatcher
 from service.storage import accidents, audit, manoeuvres, records, trips
+from service.storage.accidents import AccidentRow
 from service.storage.database import read, write
+from service.storage.manoeuvres import Excuse
 from service.storage.records import TripRecord
 from service.storage.trips import TripRow
 from service.storage.vehicles import VehicleDirectory, VehicleRef
+from service.trips import hazards
 from service.trips.assessing import AROUND_NS, GAP_NS, TripRows, assess_trip, model_sha256
 from service.trips.excusing import with_events
 from service.webhooks.outbox import NewEvent
@@ -44,21 +47,26 @@ class TripPolicy:
 
     ``silent_s``: a trip that has not ended and that nothing has touched for so long is assessed as it is, and again
     when more comes. ``rest_per_work``: the thread rests so many times as long as it worked, so that packets go first.
+    ``roads_again_s``: so long after each attempt in vain a trip's roads are looked up again; then they stay unknown.
     """
 
     silent_s: float = 900.0
     poll_s: float = 2.0
     rest_per_work: float = 3.0
     at_once: int = 50
+    roads_again_s: tuple[float, ...] = (60.0, 300.0, 1800.0, 7200.0)
 
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    """What is to be stored of a trip; ``before`` is its record of until now."""
+    """What is to be stored of a trip; ``before`` is its record of until now, ``unmatched_s`` as of ``AssessedTrip``,
+    None where the track is gone and no road is looked up any more."""
 
     row: TripRecord
-    excused: dict[str, str | None]
+    excused: dict[str, Excuse | None]
     before: Record | None
+    accidents: Sequence[AccidentRow]
+    unmatched_s: int | None
 
 
 class TripWorker:
@@ -149,10 +157,14 @@ class TripWorker:
         if self._stopping.is_set():
             raise StoppedError  # roads that stop with the service answer that they know nothing
         with write(self._database) as connection:
-            if not trips.mark_assessed(connection, trip, now_ns, found.row.model_sha256):
+            again_ns, failures = self._roads_again(trip, found.unmatched_s, now_ns)
+            if not trips.mark_assessed(
+                connection, trip, now_ns, found.row.model_sha256, again_ns=again_ns, road_failures=failures
+            ):
                 return
             records.put(connection, found.row, zone=ref.config.time_zone or DEFAULT_ZONE)
             manoeuvres.excuse(connection, found.excused)
+            hazards.mark_due(connection, found.accidents, now_ns)
             changed = found.before != found.row.record
             if found.before is not None and changed:
                 sums = {"before": _sums(found.before), "after": _sums(found.row.record)}
@@ -164,8 +176,29 @@ class TripWorker:
                 else None
             )
         self._metrics.trips_assessed_total.labels(outcome="assessed").inc()
+        if found.unmatched_s:
+            self._tell_unmatched(trip, found.unmatched_s, again_ns, now_ns)
         if event is not None:
             self._tell(ref, event)
+
+    def _roads_again(self, trip: TripRow, unmatched_s: int | None, now_ns: int) -> tuple[int | None, int | None]:
+        """When to look up roads again, None for never, and how often in a row that was in vain."""
+        if unmatched_s is None:
+            return None, trip.road_failures
+        if not unmatched_s:
+            return None, None
+        failures = (trip.road_failures or 0) + 1
+        waits_s = self._policy.roads_again_s
+        return (now_ns + round(1e9 * waits_s[failures - 1]) if failures <= len(waits_s) else None), failures
+
+    def _tell_unmatched(self, trip: TripRow, unmatched_s: int, again_ns: int | None, now_ns: int) -> None:
+        what = "trip %s: the roads of %d s could not be looked up"
+        if again_ns is None:
+            self._metrics.trips_unmatched_total.labels(outcome="given_up").inc()
+            logger.error(f"{what} and stay unknown", trip.id, unmatched_s)
+        else:
+            self._metrics.trips_unmatched_total.labels(outcome="again").inc()
+            logger.warning(f"{what}; again in %.0f s", trip.id, unmatched_s, (again_ns - now_ns) * 1e-9)
 
     def _take_in_accidents(self, trip: TripRow, now_ns: int) -> None:
         """Have accidents of its first seconds, before it was told, belong to the trip and to no earlier one."""
@@ -185,18 +218,19 @@ class TripWorker:
             rows = _rows(connection, trip, ref)
             basis = self._reading.risk(connection, ref.tenant_id)
             kept_from_ns = trips.oldest_position_ns(connection, ref.pk)
-        excused_before = {one.id: one.excused for one in rows.manoeuvres}
+        excused_before = {one.id: one.excuse for one in rows.manoeuvres}
+        unmatched_s = None
         is_gone = kept_from_ns is None or kept_from_ns > trip.start_ns + GAP_NS
         if before is not None and is_gone:  # what the track told stays as it is
-            record, excused = with_events(before.record, rows.manoeuvres, rows.accidents)
+            record, excused = with_events(before.record, rows.manoeuvres, rows.accidents, rows.hazards)
             timeline, sha256 = before.timeline, before.model_sha256
         else:
             assessed = assess_trip(rows, ref.config, self._matcher, basis.model)
-            record, excused = assessed.record, dict(assessed.excused)
+            record, excused, unmatched_s = assessed.record, dict(assessed.excused), assessed.unmatched_s
             timeline, sha256 = assessed.timeline.packed(), model_sha256(basis)
         row = TripRecord(trip.id, ref.pk, trip.start_ns, record, timeline, sha256, now_ns)
         changed = {one: reason for one, reason in excused.items() if reason != excused_before[one]}
-        return _Found(row, changed, None if before is None else before.record)
+        return _Found(row, changed, None if before is None else before.record, rows.accidents, unmatched_s)
 
     def _reconsider(self, vehicle_pk: int) -> None:
         with self._lock:
@@ -222,10 +256,12 @@ class TripWorker:
 
 
 def _rows(connection: Connection, trip: TripRow, ref: VehicleRef) -> TripRows:
+    done = manoeuvres.between(connection, ref.pk, trip.start_ns, trip.end_ns)
     return TripRows(
         trip=trip,
         positions=trips.positions(connection, ref.pk, trip.start_ns - AROUND_NS, trip.end_ns + AROUND_NS),
-        manoeuvres=manoeuvres.between(connection, ref.pk, trip.start_ns, trip.end_ns),
+        manoeuvres=done,
+        hazards=hazards.explaining(connection, done),
         accidents=accidents.of_trip(connection, ref.tenant_id, trip.id),
     )
 

@@ -164,6 +164,9 @@ def test_braking_for_a_hazard_is_defensive() -> None:
     marked = explained(found, [braking.start_t_ns + 500_000_000, pulling.start_t_ns])
     assert [one.defensive for one in marked] == [True, False]  # nobody accelerates in defence
     assert explained(found, [braking.end_t_ns + 10_000_000_000]) == found
+    for pothole_t_ns, defensive in ((braking.end_t_ns + 1_000_000_000, True), (braking.start_t_ns - 1, False)):
+        marked = explained(found, [], [pothole_t_ns, pulling.start_t_ns + 1])
+        assert [one.defensive for one in marked] == [defensive, False]
 
 
 @pytest.mark.parametrize("sizes", [[1], [7, 1, 200], [1000]])

@@ -37,8 +37,10 @@ STORED = {
     "trips": "SELECT id, vehicle_pk, start_ns, end_ns, ended, start_lat_deg, start_lon_deg, end_lat_deg, end_lon_deg,"
     " distance_m, moving_s, coasting_s, max_speed_mps FROM trips ORDER BY id",
     "records": "SELECT trip_id, day, model_sha256, record, cells, timeline FROM trip_records ORDER BY trip_id",
+    "cells": "SELECT cell, distance_mm, start_ns FROM trip_cells ORDER BY cell, distance_mm, start_ns",
     "rollups": "SELECT period, begin, zone, record, cells FROM record_rollups ORDER BY period, begin",
-    "manoeuvres": "SELECT id, kind, start_ns, end_ns, peak_mps2, lat_deg, lon_deg, excused FROM manoeuvres ORDER BY id",
+    "manoeuvres": "SELECT id, kind, start_ns, end_ns, peak_mps2, lat_deg, lon_deg, excused, excused_by FROM manoeuvres"
+    " ORDER BY id",
     "accidents": "SELECT id, vehicle_pk, trip_id, t_ns, decided_t_ns, severity, revision, kind, status, confidence,"
     " lat_deg, lon_deg, alt_m, sd_n_m, sd_e_m, cov_ne_m2, heading_deg, mode, detail FROM accidents ORDER BY id",
     "candidates": "SELECT id, vehicle_pk, t_ns, reason, probability, detail FROM accident_candidates ORDER BY id",

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 import pytest
 from sqlalchemy import func, select
 
+from core.scoring.places import places_from
 from core.scoring.record import Record
 from schemas.packet import encode_packet
 from service.storage import records, tables
@@ -140,9 +141,41 @@ def test_all_of_a_vehicle_goes_and_it_drives_on(car, packets):
     assert car.trips(1) == [trip]
 
 
+def evidence(car):
+    """What is named behind everything that the scores say of the car's own driving."""
+    told = car.http.get("/v1/vehicles/car/scores").json()["scores"].values()
+    said = [one for score in told for one in score["contributions"] if one["name"] not in ("base", "limit")]
+    # A share, a rate or a count of nothing rests on nothing.
+    unfounded = [one["name"] for one in said if one["value"] and not one["evidence"]]
+    assert unfounded == []
+    assert [one["name"] for one in said if one["name"].startswith("cell:") and one["evidence"]]
+    return {(piece["kind"], piece["id"]) for one in said for piece in one["evidence"]}
+
+
+def rate_places(car):
+    """Have a risk of each place, so that scores tell of cells."""
+    driven = {cell: one for cell, one in car.record().cells.items() if cell}
+    known = sorted(driven, key=driven.get)
+    places = places_from(driven, {known[-1]: 7, known[0]: 1})
+    assert car.http.put("/v1/rating/places", json=places.to_json()).status_code == 200
+
+
 def test_of_a_time_whole_trips_go_and_the_others_stay(car):
     database, pk = car.service.database, car.pk
-    second = car.trips(2)[1]
+    first, second = car.trips(2)
+    rate_places(car)
+    with read(database) as connection:
+        stored = {
+            (kind, one)
+            for kind, table in (
+                ("trip", tables.trips),
+                ("manoeuvre", tables.manoeuvres),
+                ("accident", tables.accidents),
+            )
+            for one in connection.scalars(select(table.c.id).where(table.c.vehicle_pk == pk))
+        }
+    named = evidence(car)
+    assert {("trip", first["id"]), ("trip", second["id"])} <= named <= stored
     with read(database) as connection:
         spans = connection.execute(
             select(tables.trips.c.start_ns, tables.trips.c.end_ns)
@@ -158,6 +191,9 @@ def test_of_a_time_whole_trips_go_and_the_others_stay(car):
     assert [row["id"] for row in car.trips(1)] == [second["id"]]
     newest = [one["data"] for one in car.http.get("/v1/events").json()["events"] if one["type"] == "score.updated"][-1]
     assert (newest["cause"], newest["vehicle_id"]) == ("erasure", "car"), "scores of what is left"
+    named = evidence(car)
+    assert ("trip", first["id"]) not in named
+    assert ("trip", second["id"]) in named
     record = car.record()
     assert (record.distance_m, record.cells, record.days) == (kept.distance_m, kept.cells, 1)
     assert rows_about(database, pk)["journal"] > 200

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import threading
 
 import pytest
@@ -10,9 +11,11 @@ from alembic.autogenerate import compare_metadata
 from alembic.runtime.migration import MigrationContext
 
 from service.errors import DatabaseError
-from service.storage import schema
+from service.local_days import day_of
+from service.storage import cell_sums, schema, trip_cells
 from service.storage.database import open_database, read, write
 from service.storage.tables import metadata
+from tests.service.trip_records import a_trip_record
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -65,6 +68,45 @@ def test_upgrade_is_repeatable_and_downgrade_leaves_nothing(empty):
     assert tables(empty) == set()
     schema.upgrade(empty)
     assert tables(empty) == set(metadata.tables)
+
+
+def test_trips_from_before_are_evidence_of_their_cells(empty):
+    rows = [a_trip_record(random.Random(number), 1, f"trip-{number:04d}", number) for number in range(1100)]
+    schema.upgrade(empty, "0005")
+    with write(empty) as connection:
+        before = sqlalchemy.MetaData()
+        before.reflect(connection, only=["tenants", "vehicles", "trips", "trip_records"])
+        connection.execute(before.tables["tenants"].insert(), {"id": "t", "name": "t", "created_ns": 1})
+        vehicle = {"pk": 1, "tenant_id": "t", "vehicle_id": "v", "config": {}, "registered_ns": 1, "updated_ns": 1}
+        connection.execute(before.tables["vehicles"].insert(), vehicle)
+        places = ("start_lat_deg", "start_lon_deg", "end_lat_deg", "end_lon_deg")
+        same = dict.fromkeys((*places, "distance_m", "moving_s", "coasting_s", "max_speed_mps"), 1.0) | {"ended": True}
+        trips = [
+            same | {"id": row.trip_id, "vehicle_pk": 1, "start_ns": row.start_ns, "end_ns": row.start_ns + 1}
+            for row in rows
+        ]
+        connection.execute(before.tables["trips"].insert(), trips)
+        told = [
+            {
+                "trip_id": row.trip_id,
+                "vehicle_pk": 1,
+                "start_ns": row.start_ns,
+                "day": day_of(row.start_ns),
+                "model_sha256": "",
+                "assessed_ns": 1,
+                "record": {},
+                "cells": cell_sums.packed(row.record.cells),
+                "timeline": b"",
+            }
+            for row in rows
+        ]
+        connection.execute(before.tables["trip_records"].insert(), told)
+    schema.upgrade(empty)
+    with read(empty) as connection:
+        for cell in sorted({cell for row in rows for cell in row.record.cells}):
+            found = trip_cells.farthest(connection, 1, [cell], 0, 2000, trips=len(rows))
+            driven = [(row.record.cells[cell].distance_mm, row.trip_id) for row in rows if cell in row.record.cells]
+            assert [(one.weight, one.id) for one in found[cell]] == sorted(driven, reverse=True)[:5]
 
 
 def test_processes_that_start_together_do_not_collide(empty_url):

@@ -199,7 +199,15 @@ def test_cells_are_for_keys_that_may_know_places(service, tenant, insurer, drive
     assert CELLS[0] not in str(blind)
     assert (blind["score"], blind["interval95"]) == (seen["score"], seen["interval95"])
     assert math.fsum(one["points"] for one in blind["contributions"]) == blind["score"]
-    assert "places" in [one["name"] for one in blind["contributions"]]
+    (places,) = [one for one in blind["contributions"] if one["name"] == "places"]
+    cells = [one for one in seen["contributions"] if one["name"].startswith("cell:")]
+    trips = {piece["id"] for one in cells for piece in one["evidence"]}
+    assert len(cells) == 2
+    assert all(len(one["evidence"]) == 5 for one in (*cells, places))
+    assert {piece["id"] for piece in places["evidence"]} <= trips
+    some = insurer.get("/v1/vehicles/v1/scores/pwyd", params={"month": "2026-02"}).json()["contributions"]
+    in_february = {f"{tenant}-{day}"[-36:] for day in range(22, 50)}
+    assert {piece["id"] for one in some for piece in one["evidence"] if one["name"] == "places"} <= in_february
 
 
 def test_ones_own_model_scores_at_once(service, tenant, insurer, driven):

@@ -21,7 +21,7 @@ from service.trips.timeline import Timeline
 from tests.conftest import run_service
 from tests.documented import conforms
 from tests.road_map import at
-from tests.service.stored_rows import NS, T0, manoeuvre_row, point_row, trip_row
+from tests.service.stored_rows import NS, T0, candidate_row, manoeuvre_row, point_row, trip_row
 from tests.service.trip_harness import Driver
 
 WAIT_S = 60.0
@@ -131,6 +131,21 @@ def test_the_same_track_on_the_same_roads_gives_the_same_record(built_roads, dat
     assert set(by[Facet.DISTRICT]) == {"Westviertel", "Ostviertel"}
     assert (Timeline.unpacked(row[3]).limit_kmh == 50.0).mean() > 0.9
     assert len(driver.scored) == 1, "told once, as it stayed the same"
+
+
+def test_what_explains_a_manoeuvre_is_named_to_who_may_know_places(service, admin, tenant, ref, trip):
+    """It says where the vehicle was, as an accident's place is told to more."""
+    struck = candidate_row(tenant, ref.pk, 41)
+    with write(service.database) as connection:
+        connection.execute(insert(tables.accident_candidates), [struck])
+        connection.execute(tables.trips.update().where(tables.trips.c.id == trip).values(due_ns=1))
+    assert assessed(admin, trip)["road_lookup"] == "done"
+    (row,) = admin.get(f"/v1/trips/{trip}/manoeuvres").json()["manoeuvres"]
+    conforms("Manoeuvre", row)
+    assert (row["excused"], row["excused_by"]) == ("hazard", struck["id"])
+    with service.client(tenant, "vehicles:read") as http:
+        (row,) = http.get(f"/v1/trips/{trip}/manoeuvres").json()["manoeuvres"]
+    assert (row["excused"], row["excused_by"]) == ("hazard", None)
 
 
 def test_a_reviewer_decides_whether_a_manoeuvre_counts(service, admin, tenant, ref, trip):

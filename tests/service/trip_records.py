@@ -10,7 +10,7 @@ from core.driving.exposure import WEEKDAYS, Driven, Exposure, Facet
 from core.scoring.record import BeliefSums, Evidence, Record, SpeedingSums
 from schemas.vehicles import VehicleConfig
 from service.local_days import day_of
-from service.storage import cell_sums, record_sums, records, tenants, vehicles
+from service.storage import cell_sums, record_sums, records, tenants, trip_cells, vehicles
 from service.storage.records import TripRecord
 from service.storage.tables import trip_records, trips
 
@@ -82,4 +82,5 @@ def put_all(connection, rows, zone="UTC"):
         for row in rows
     ]
     connection.execute(insert(trip_records), values)
+    trip_cells.replace(connection, rows[0].vehicle_pk, [], [(one["start_ns"], one["cells"]) for one in values])
     records.rebuild(connection, rows[0].vehicle_pk, zone=zone)

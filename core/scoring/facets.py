@@ -30,7 +30,8 @@ class Facet:
     relativity : by label, the portfolio's mean 1; a label that is not there counts as that
     sd : by label, how unsure its relativity is itself; none where it is taken as told
     share : the portfolio's, by label; may be empty
-    group : the name and label under which a label is told
+    group : what a label is told with
+    named : the name and label under which a group is told
     told : as many groups are told one by one, the others together
     weight : exponent of the facet's relativity
     evidence : of what is told; None where the record itself names it
@@ -41,7 +42,8 @@ class Facet:
     relativity: Mapping[str, float]
     sd: Mapping[str, float]
     share: Mapping[str, float]
-    group: Callable[[str], tuple[str, str]]
+    group: Callable[[str], str]
+    named: Callable[[str], tuple[str, str]]
     shape: float
     count_km: float
     told: int
@@ -109,7 +111,7 @@ def _interval(facet: Facet, known: Mapping[str, float], k: float, shrunk: Shrunk
 def _told(
     facet: Facet, known: Mapping[str, float], excess: Mapping[str, float], record: Record
 ) -> list[tuple[Contribution, float]]:
-    grouped: dict[tuple[str, str], list[str]] = {}
+    grouped: dict[str, list[str]] = {}
     for label in excess:
         grouped.setdefault(facet.group(label), []).append(label)
     weights = {
@@ -118,7 +120,7 @@ def _told(
     }
     ranked = sorted(grouped, key=lambda group: (-abs(weights[group]), group))
     others = [label for group in ranked[facet.told :] for label in grouped[group]]
-    told = {group: grouped[group] for group in ranked[: facet.told]} | (
+    told = {facet.named(group): grouped[group] for group in ranked[: facet.told]} | (
         {(f"{facet.name}:others", f"other {facet.label}"): others} if others else {}
     )
     behind = facet.evidence or (lambda groups: [_behind(facet, labels, record) for labels in groups])

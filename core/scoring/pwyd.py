@@ -54,7 +54,8 @@ def pwyd(
             relativity=cell_risk,
             sd=places.sd,
             share={},
-            group=lambda cell: (f"cell:{cell}", f"area {cell}"),
+            group=lambda cell: cell,
+            named=lambda cell: (f"cell:{cell}", f"area {cell}"),
             shape=model.cell_shape,
             count_km=model.cell_count_km,
             told=model.told,
@@ -65,9 +66,8 @@ def pwyd(
 
 
 def _facet(risk: FacetRisk, name: str, label: str, told: int, weight: float = 1.0) -> Facet:
-    def group(one: str) -> tuple[str, str]:
-        told = risk.groups[one]
-        return f"{name}:{told}", f"roads of class {told.replace('_', ' ')}" if name == "road_class" else told
+    def named(group: str) -> tuple[str, str]:
+        return f"{name}:{group}", f"roads of class {group.replace('_', ' ')}" if name == "road_class" else group
 
     return Facet(
         name=name,
@@ -75,7 +75,8 @@ def _facet(risk: FacetRisk, name: str, label: str, told: int, weight: float = 1.
         relativity=risk.relativity,
         sd={},
         share=risk.share,
-        group=group,
+        group=risk.groups.__getitem__,
+        named=named,
         shape=risk.shape,
         count_km=risk.count_km,
         told=told,

@@ -6,6 +6,7 @@ Trips go between a home, a place of work and others, so that cells, districts an
 from __future__ import annotations
 
 import gc
+import json
 import random
 import time
 from collections.abc import Callable, Iterator
@@ -24,6 +25,7 @@ from core.driving.exposure import WEEKDAYS, Driven, Exposure, Facet, Light
 from core.driving.manoeuvres import Manoeuvre
 from core.risk.assessment import ENTITIES
 from core.risk.belief import N_SETS
+from core.scoring.places import places_from
 from core.scoring.record import BeliefSums, Evidence, Record, SpeedingSums
 from core.scoring.score import Product
 from schemas.notifications import rfc3339
@@ -32,8 +34,10 @@ from service.bench.target import TargetFailedError
 from service.cells import RESOLUTION
 from service.demo.service_process import ServiceProcess, free_port
 from service.local_days import day_of
-from service.storage import cell_sums, record_sums, records, schema, tenants, trip_cells, vehicles
+from service.rating.parts import Part
+from service.storage import cell_sums, rating, record_sums, records, schema, tenants, trip_cells, vehicles
 from service.storage.database import open_database, read, write
+from service.storage.rating import RatingRow
 from service.storage.tables import trip_records, trips
 
 TRIPS: Final = 10_000
@@ -144,6 +148,7 @@ def _of_storage(url: str, trips_in_all: int, queries: int, tell: Callable[[int],
             pk = vehicles.put(connection, tenants.DEFAULT_TENANT, VEHICLE, VehicleConfig()).ref.pk
             begin = time.perf_counter()
             seed(connection, pk, trips_in_all)
+            rating.add(connection, tenants.DEFAULT_TENANT, _risk_of_places())
             seeded_s = time.perf_counter() - begin
         gc.freeze()  # as the service does: see service.cli.serve
         found: dict[str, Any] = {
@@ -213,6 +218,14 @@ def _places(rng: random.Random) -> list[list[str]]:
     around = sorted(h3.grid_disk(home, 25))
     ways = [h3.grid_path_cells(home, rng.choice(around)) for _ in range(150)]
     return [*ways, *ways[:4] * 60]
+
+
+def _risk_of_places() -> RatingRow:
+    """A tenant's own, of every cell that is driven in, so that PWYD has all of them to tell about."""
+    rng = random.Random(5)
+    cells = sorted({cell for way in _places(random.Random(1)) for cell in way})
+    risk = places_from(dict.fromkeys(cells, Driven(10**9, 10**8)), {cell: rng.randrange(4) for cell in cells})
+    return RatingRow(Part.PLACES, 1, json.dumps(risk.to_json()), BEGIN_NS, None)
 
 
 def _record(rng: random.Random, trip_id: str, start_ns: int, way: list[str]) -> Record:

@@ -177,6 +177,9 @@ class TriggerThresholds(Tunables):
         3.0, unit="m/s2", low=0.5, high=6.0, source="choice: a falling box feels nothing, a car over a crest over 5"
     )
     fall_s: float = tunable(0.08, unit="s", low=0.02, high=0.5, source="choice: a fall of 3 cm")
+    fell_before_s: float = tunable(
+        0.6, unit="s", low=0.1, high=2.0, source="choice: a shock so soon after ends a fall, of up to a metre"
+    )
     lean_parked_s: float = tunable(
         60.0, unit="s", low=5.0, high=3600.0, source="choice: whoever loads a vehicle first lets it stand"
     )
@@ -357,7 +360,47 @@ class JudgementThresholds(Tunables):
     rolled_on: float = tunable(
         4.0, unit="1", low=0.0, high=20.0, source="choice: who rolls over comes to rest within ten seconds or so"
     )
+    airbag: float = tunable(
+        2.0,
+        unit="1",
+        low=0.0,
+        high=20.0,
+        source="choice: most flags of an airbag are right, though nothing was felt; a bus errs at times",
+    )
     flagged: float = tunable(6.0, unit="1", low=0.0, high=20.0, source="choice: an airbag that fired, or power lost")
+
+
+@dataclass(frozen=True, slots=True)
+class RolloverThresholds(Tunables):
+    """What lies on its side: a vehicle that rolled over, or a box that came off. Odds are log-odds of an accident."""
+
+    odds: float = tunable(
+        2.0, unit="1", low=-20.0, high=20.0, source="choice: a vehicle that lies on its side after it moved"
+    )
+    loose_odds: float = tunable(
+        -4.0,
+        unit="1",
+        low=-20.0,
+        high=20.0,
+        source="choice: where it had stood, or the box fell or spun as no car does",
+    )
+    fell_before_s: float = tunable(
+        1.5, unit="s", low=0.1, high=5.0, source="choice: a box that fell tumbles on before it lies"
+    )
+    tumbles_radps: float = tunable(
+        2.0,
+        unit="rad/s",
+        low=0.2,
+        high=10.0,
+        source="choice, 115 deg/s: cars roll over about their long axis; what turns so fast rather across it is a box",
+    )
+    tipped_s: float = tunable(
+        1.5,
+        unit="s",
+        low=0.2,
+        high=5.0,
+        source="choice: from half of tilt_deg to it at 20 deg/s, slower than any rollover",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -483,6 +526,7 @@ class DetectorThresholds(Tunables):
     trigger: TriggerThresholds = TriggerThresholds()
     pulse: PulseThresholds = PulseThresholds()
     judgement: JudgementThresholds = JudgementThresholds()
+    rollover: RolloverThresholds = RolloverThresholds()
     aftermath: AftermathThresholds = AftermathThresholds()
     naming: NamingThresholds = NamingThresholds()
     level: LevelThresholds = LevelThresholds()

@@ -118,6 +118,11 @@ def levels(trigger: TriggerThresholds) -> FloatArray:
     )  # fmt: skip
 
 
+def fell(registers: TimeArray, t_ns: int, within_s: float) -> bool:
+    """Whether what is looked at has fallen freely within a span before a time."""
+    return t_ns - int(registers[FELL]) < round(within_s * 1e9)
+
+
 @njit(cache=True, nogil=True)
 def scan(
     t_ns: TimeArray,

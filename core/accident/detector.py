@@ -14,12 +14,12 @@ import numpy.typing as npt
 from core.accident import suppressed, trigger
 from core.accident.clipping import Whole
 from core.accident.events import Candidate, Findings, Impact, Kind, Severity, Status, VehicleMotion
-from core.accident.impacts import deployed, felt, refined
+from core.accident.impacts import belonging, deployed, felt, refined
 from core.accident.judgement import AIRBAG_DEPLOYED, Aftermath, confidence, followed, probability, reasons
-from core.accident.level import LevelMotion
-from core.accident.momentum import Momentum, begun, settled, struck
+from core.accident.level import HEADING_COS, HEADING_SIN, LevelMotion
+from core.accident.momentum import Momentum, begun, checked, settled, struck
 from core.accident.open_accident import Open, Weak
-from core.accident.pulse import Pulse, hangs, read_pulse
+from core.accident.pulse import ANY, Pulse, hangs, read_pulse
 from core.accident.thresholds import DetectorThresholds
 from core.accident.tilted import lying
 from core.accident.trigger import NEVER, Stop, scan
@@ -122,13 +122,14 @@ class ImpactDetector:
         t_ns, now = level.t_ns, int(level.t_ns[row])
         start = int(np.searchsorted(t_ns, registers[trigger.START]))
         ends = evidence_row, max(row - 1, evidence_row)
-        pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse)
+        told = self._told_ns == registers[trigger.START]
+        as_told = self._as_told() if told else ANY
+        pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse, as_told)
         first_ns = int(t_ns[pulse.first])
         fell = trigger.fell(registers, first_ns, limits.trigger.fell_before_s)
         impact, odds, unclipped = felt(level, pulse, row, NAME, limits, fell=fell, parked=self._stood_parked(first_ns))
         if not whole and hangs(level.x, pulse.first, row):
             return  # until it lets go
-        told = self._told_ns == registers[trigger.START]
         needed = limits.judgement.retract if told else limits.judgement.tell if whole else limits.judgement.tell_early
         likely = probability(odds) >= needed
         same = self._open is not None and impact.t_ns <= self._open.last_ns + _ns(limits.aftermath.grouping_s)
@@ -142,22 +143,33 @@ class ImpactDetector:
         if not likely:
             self._dismiss(impact, odds, told, row, found)
         elif told:
-            momentum = self._struck(self._opened.momentum, pulse, unclipped, worst=True)
-            self._update(replace(impact, t_ns=self._opened.impact.t_ns), odds, row, found, momentum)
+            momentum = self._struck(self._opened.momentum, impact, pulse, row, unclipped)
+            self._update(impact, odds, row, found, momentum)
         elif same:
-            worse = impact.delta_v_mps > self._opened.impact.delta_v_mps
-            self._add(impact, odds, row, found, self._struck(self._opened.momentum, pulse, unclipped, worst=worse))
+            self._add(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
         else:
-            momentum = self._struck(self._begun(pulse, row), pulse, unclipped, worst=True)
+            momentum = self._struck(self._begun(pulse, row), impact, pulse, row, unclipped)
             self._begin(impact, odds, row, found, momentum)
+
+    def _as_told(self) -> tuple[float, float, int]:
+        """Of the pulse that the open accident was told by: its direction in the level frame, and the row then."""
+        impact, t_ns, x = self._opened.impact, self._level.t_ns, self._level.x
+        first, row = np.searchsorted(t_ns, [impact.t_ns, impact.decided_t_ns])
+        (forward, right), cos, sin = impact.delta_v_b_mps, float(x[first, HEADING_COS]), float(x[first, HEADING_SIN])
+        return forward * cos - right * sin, forward * sin + right * cos, int(row)
 
     def _begun(self, pulse: Pulse, row: int) -> Momentum:
         level = self._level
         return begun(level.t_ns, level.x, level.flags, pulse.first, row, self._registers)
 
-    def _struck(self, was: Momentum | None, pulse: Pulse, whole: Whole | None, *, worst: bool) -> Momentum | None:
-        level, rows = self._level, (pulse.first, pulse.last)
-        return None if was is None else struck(was, level.t_ns, level.x, level.flags, rows, whole, worst=worst)
+    def _struck(
+        self, was: Momentum | None, impact: Impact, pulse: Pulse, row: int, whole: Whole | None
+    ) -> Momentum | None:
+        if was is None:
+            return None
+        t_ns, x, flags = self._level.t_ns, self._level.x, self._level.flags
+        was = checked(was, t_ns, x, flags, (pulse.first, row), self._registers, self._limits.aftermath)
+        return struck(was, impact, t_ns, x, flags, (pulse.first, pulse.last), whole)
 
     def _stood_parked(self, t_ns: int) -> bool:
         """Whether the vehicle stood, parked, until a time: what then pushes it is no journey's accident."""
@@ -207,14 +219,10 @@ class ImpactDetector:
         if was.airbag and AIRBAG_DEPLOYED not in impact.reasons:
             impact = replace(impact, reasons=(AIRBAG_DEPLOYED, *impact.reasons))
         impact = replace(
-            impact,
+            belonging(impact, was.impact),
             revision=was.impact.revision + 1,
             impacts=was.impact.impacts if impacts is None else impacts,
-            kind=was.impact.kind,
-            rollover=was.impact.rollover or impact.rollover,
             confidence=confidence(odds, self._limits.judgement),
-            speed_before_mps=was.impact.speed_before_mps,
-            paper_agrees=was.impact.paper_agrees or impact.paper_agrees,
         )
         self._open = replace(was, impact=impact, odds=odds, last_ns=int(self._level.t_ns[row]), momentum=momentum)
         found.impacts.append(impact)
@@ -225,7 +233,7 @@ class ImpactDetector:
         was = self._opened
         count, odds = was.impact.impacts + 1, max(odds, was.odds)
         if impact.delta_v_mps > was.impact.delta_v_mps:
-            self._update(replace(impact, t_ns=was.impact.t_ns), odds, row, found, momentum, impacts=count)
+            self._update(impact, odds, row, found, momentum, impacts=count)
             return
         was = replace(was, impact=replace(was.impact, impacts=count), odds=odds, last_ns=impact.decided_t_ns)
         self._open = replace(was, momentum=momentum)
@@ -266,14 +274,15 @@ class ImpactDetector:
         self._finish(replace(impact, decided_t_ns=now, reasons=told), odds, status, found)
 
     def _settled(self, was: Open, row: int) -> Impact:
-        """The open accident with what its rest, or its rolling on, tells of what clipped."""
-        impact, limits, level = was.impact, self._limits, self._level
-        if was.momentum is None or impact.rollover:
-            return impact
+        """The open accident with what its rest, or its rolling on, tells of what clipped: also which blow was worst."""
+        if was.momentum is None or was.impact.rollover:
+            return was.impact
+        level, limits = self._level, self._limits
         found = settled(was.momentum, level.t_ns, level.x, row, self._registers, limits.aftermath)
         if found is None:
-            return impact
-        return refined(impact, *found, limits)
+            return was.impact
+        worst, mean_mps, covariance = found
+        return belonging(refined(worst, mean_mps, covariance, limits) if worst.clipped else worst, was.impact)
 
     def _finish(self, impact: Impact, odds: float, status: Status, found: Findings) -> None:
         was = self._opened

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from core.measurements import FloatArray, TimeArray
 
@@ -137,6 +138,23 @@ class Impact:
     rollover: bool = False
     injury: InjuryRisk | None = None
     reasons: tuple[str, ...] = ()
+
+
+def impact_of(kept: Mapping[str, Any]) -> Impact:
+    """An impact of what ``asdict`` and JSON made of one."""
+    pairs = {field: tuple(kept[field]) for field in ("delta_v_b_mps", "delta_v_interval_mps", "reasons")}
+    return Impact(
+        **(
+            dict(kept)
+            | pairs
+            | {
+                "severity": Severity(kept["severity"]),
+                "kind": Kind(kept["kind"]),
+                "status": Status(kept["status"]),
+                "injury": None if kept["injury"] is None else InjuryRisk(**kept["injury"]),
+            }
+        )
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from core.accident.events import Impact, InjuryRisk, Kind, Severity, Status
+from core.accident.events import Impact, impact_of
 from core.accident.momentum import Momentum
 
 
@@ -24,15 +24,8 @@ class Open:
     @staticmethod
     def of(kept: Mapping[str, Any]) -> Open:
         """Of what ``asdict`` and JSON made of one."""
-        impact = dict(kept["impact"])
-        for field in ("delta_v_b_mps", "delta_v_interval_mps", "reasons"):
-            impact[field] = tuple(impact[field])
-        impact |= {
-            "severity": Severity(impact["severity"]), "kind": Kind(impact["kind"]), "status": Status(impact["status"])
-        }  # fmt: skip
-        impact["injury"] = None if impact["injury"] is None else InjuryRisk(**impact["injury"])
         momentum = None if kept["momentum"] is None else Momentum.of(kept["momentum"])
-        return Open(**(dict(kept) | {"impact": Impact(**impact), "momentum": momentum}))
+        return Open(**(dict(kept) | {"impact": impact_of(kept["impact"]), "momentum": momentum}))
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,6 +75,10 @@ SHAKEN: Final = 0.04
 that fails does not, but for what tilt lays into the vertical. A choice, after NHTSA test 10146 (0.07 and more)."""
 
 
+ANY: Final = (0.0, 0.0, 1 << 60)
+"""Nothing was told of a pulse yet."""
+
+
 @njit(cache=True, nogil=True)
 def _along(x: FloatArray, row: int, ux: float, uy: float) -> float:
     """Acceleration along a horizontal direction of the level frame, times the length of (ux, uy), m/s2."""
@@ -111,19 +115,29 @@ def beyond(
 
 @njit(cache=True, nogil=True)
 def core_rows(
-    t_ns: TimeArray, x: FloatArray, start: int, end: int, rest_s: float, reach: tuple[float, float, float]
+    t_ns: TimeArray,
+    x: FloatArray,
+    start: int,
+    end: int,
+    rest_s: float,
+    reach: tuple[float, float, float],
+    told: tuple[float, float, int],
 ) -> tuple[int, int, float]:
-    """The two rows of ``start`` to ``end`` between which the velocity changed most beyond reach, and by how much."""
+    """The two rows of ``start`` to ``end`` between which the velocity changed most beyond reach, and by how much.
+
+    What was told of it already is a direction, in the level frame, that it is not against, and by when it had begun.
+    """
     tyre, standing, jerk = reach
+    ux, uy, begun = told
     first, last, most = start, start, -math.inf
-    for i in range(start, end):
+    for i in range(start, min(end, begun)):
         stood = x[i, REST_S] >= rest_s
         for j in range(i + 1, end + 1):
             w = (t_ns[j] - t_ns[i]) * 1e-9
             vx, vy = x[j, V_X] - x[i, V_X], x[j, V_Y] - x[i, V_Y]
             own = unexplained(vx, vy, x[i, SLOW_X] * w, x[i, SLOW_Y] * w)
             value = beyond(math.hypot(vx, vy), own, w, stood, tyre, standing, jerk)
-            if value > most:
+            if value > most and vx * ux + vy * uy >= 0.0:
                 first, last, most = i, j, value
     return first, last, most
 
@@ -309,11 +323,13 @@ def read_pulse(
     ends: tuple[int, int],
     trigger: TriggerThresholds,
     limits: PulseThresholds,
+    told: tuple[float, float, int] = ANY,
 ) -> Pulse:
     """A suspected pulse from row ``start``, turned into forward and right at its start. What speaks for and against it
-    is looked for up to the first of ``ends``, its end up to the second."""
+    is looked for up to the first of ``ends``, its end up to the second. Of ``told`` see ``core_rows``: what follows a
+    blow, as a spin, may change the velocity by more than was read of it."""
     reach = (trigger.tyre_mps2, trigger.standing_mps2, trigger.jerk_mps3)
-    core_first, core_last, most = core_rows(t_ns, x, start, ends[0], trigger.rest_s, reach)
+    core_first, core_last, most = core_rows(t_ns, x, start, ends[0], trigger.rest_s, reach, told)
     first, last, over = widened(
         t_ns, x, flags, core_first, core_last, ends, limits.onset_mps2, limits.onset_s, limits.tail_s,
         round(trigger.settled_s * 1e9),

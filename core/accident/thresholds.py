@@ -457,6 +457,15 @@ class AftermathThresholds(Tunables):
     rolling_mps: float = tunable(
         2.0, unit="m/s", low=0.5, high=10.0, source="choice: slower, a car may as well be pushed backwards"
     )
+    sliding_s: float = tunable(
+        1.0, unit="s", low=0.1, high=5.0, source="choice: tyres at 0.7 g take back a side-slip of 7 m/s"
+    )
+    sliding_radps: float = tunable(
+        0.35, unit="rad/s", low=0.05, high=3.0, source="choice, 20 deg/s: who turns faster after a blow spins"
+    )
+    recovery_s: float = tunable(
+        1.0, unit="s", low=0.1, high=30.0, source="choice: fixes a second apart take back what clipping hid"
+    )
     outside_mps2: float = tunable(
         20.0, unit="m/s2", low=1.0, high=500.0, source="choice: 2 g, where boxes clip that do"
     )

@@ -16,10 +16,10 @@ from core.accident.clipping import Whole
 from core.accident.events import Candidate, Findings, Impact, Kind, Severity, Status, VehicleMotion
 from core.accident.impacts import belonging, deployed, felt, refined
 from core.accident.judgement import AIRBAG_DEPLOYED, Aftermath, confidence, followed, probability, reasons
-from core.accident.level import HEADING_COS, HEADING_SIN, LevelMotion
+from core.accident.level import HEADING_COS, HEADING_SIN, YAW_RATE, LevelMotion
 from core.accident.momentum import Momentum, begun, checked, settled, struck
 from core.accident.open_accident import Open, Weak
-from core.accident.pulse import ANY, Pulse, hangs, read_pulse
+from core.accident.pulse import ANY, Pulse, hangs, read_pulse, spin_from
 from core.accident.thresholds import DetectorThresholds
 from core.accident.tilted import lying
 from core.accident.trigger import NEVER, Stop, scan
@@ -128,6 +128,13 @@ class ImpactDetector:
         first_ns = int(t_ns[pulse.first])
         fell = trigger.fell(registers, first_ns, limits.trigger.fell_before_s)
         impact, odds, unclipped = felt(level, pulse, row, NAME, limits, fell=fell, parked=self._stood_parked(first_ns))
+        spin_row = spin_from(level.x, start, pulse.first, limits.pulse.spin_radps)
+        if whole and spin_row is not None:  # what a spin does to the box is no blow, but a blow's work
+            pulse = read_pulse(
+                t_ns, level.x, level.flags, start, (spin_row, spin_row), limits.trigger, limits.pulse, as_told
+            )
+            impact, _, unclipped = felt(level, pulse, row, NAME, limits, fell=fell, parked=self._stood_parked(first_ns))
+            impact = replace(impact, confidence=confidence(odds, limits.judgement))
         if not whole and hangs(level.x, pulse.first, row):
             return  # until it lets go
         needed = limits.judgement.retract if told else limits.judgement.tell if whole else limits.judgement.tell_early
@@ -145,6 +152,8 @@ class ImpactDetector:
         elif told:
             momentum = self._struck(self._opened.momentum, impact, pulse, row, unclipped)
             self._update(impact, odds, row, found, momentum)
+        elif same and self._spins(pulse):
+            return
         elif same:
             self._add(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
         else:
@@ -157,6 +166,11 @@ class ImpactDetector:
         first, row = np.searchsorted(t_ns, [impact.t_ns, impact.decided_t_ns])
         (forward, right), cos, sin = impact.delta_v_b_mps, float(x[first, HEADING_COS]), float(x[first, HEADING_SIN])
         return forward * cos - right * sin, forward * sin + right * cos, int(row)
+
+    def _spins(self, pulse: Pulse) -> bool:
+        """Whether what would be a further blow is no more than the spin after the one before does to the box."""
+        limits, rate = self._limits.pulse, abs(float(self._level.x[pulse.first, YAW_RATE]))
+        return rate > limits.spin_radps and pulse.beyond_mps < rate * rate * limits.arm_m * pulse.felt_s
 
     def _begun(self, pulse: Pulse, row: int) -> Momentum:
         level = self._level

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+import numpy as np
 from numba import njit
 
 from core.accident.level import (
@@ -313,6 +314,15 @@ def hangs(x: FloatArray, first: int, last: int) -> bool:
             if abs(x[k, FORCE] - x[k - 1, FORCE]) < HELD * x[k, FORCE]:
                 held += 1
     return x[last, CLIP_S] > 0.0 and 2 * held >= clipped
+
+
+def spin_from(x: FloatArray, start: int, first: int, spin_radps: float) -> int | None:
+    """Where rows from ``start`` on are of a car that spins as row ``first`` begins, the row by which a blow had turned
+    it so fast; None where it does not."""
+    if abs(x[first, YAW_RATE]) < spin_radps or first <= start:
+        return None
+    fastest = start + int(np.argmax(np.abs(x[start : first + 1, YAW_RATE])))
+    return fastest if fastest > start else None
 
 
 def read_pulse(

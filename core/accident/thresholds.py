@@ -227,6 +227,16 @@ class PulseThresholds(Tunables):
     yaw_sd_rad: float = tunable(
         0.05, unit="rad", low=0.001, high=0.5, source="choice, 3 deg: yaw of the box in the vehicle"
     )
+    spin_radps: float = tunable(
+        1.5, unit="rad/s", low=0.3, high=10.0, source="choice, 86 deg/s: faster than a car is steered around a corner"
+    )
+    arm_m: float = tunable(
+        1.3,
+        unit="m",
+        low=0.0,
+        high=5.0,
+        source="choice: a box behind the windscreen from what a spinning car turns about",
+    )
     noise_sd_mps: float = tunable(
         0.1, unit="m/s", low=0.001, high=2.0, source="choice: road and body vibration on an integrated pulse"
     )

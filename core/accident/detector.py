@@ -123,19 +123,14 @@ class ImpactDetector:
         start = int(np.searchsorted(t_ns, registers[trigger.START]))
         ends = evidence_row, max(row - 1, evidence_row)
         told = self._told_ns == registers[trigger.START]
-        as_told = self._as_told() if told else ANY
-        pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse, as_told)
-        first_ns = int(t_ns[pulse.first])
-        fell = trigger.fell(registers, first_ns, limits.trigger.fell_before_s)
-        impact, odds, unclipped = felt(level, pulse, row, NAME, limits, fell=fell, parked=self._stood_parked(first_ns))
-        spin_row = spin_from(level.x, start, pulse.first, limits.pulse.spin_radps)
-        if whole and spin_row is not None:  # what a spin does to the box is no blow, but a blow's work
-            pulse = read_pulse(
-                t_ns, level.x, level.flags, start, (spin_row, spin_row), limits.trigger, limits.pulse, as_told
-            )
-            impact, _, unclipped = felt(level, pulse, row, NAME, limits, fell=fell, parked=self._stood_parked(first_ns))
-            impact = replace(impact, confidence=confidence(odds, limits.judgement))
-        if not whole and hangs(level.x, pulse.first, row):
+        judged = pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse)
+        first_ns = int(t_ns[judged.first])
+        around = {
+            "fell": trigger.fell(registers, first_ns, limits.trigger.fell_before_s),
+            "parked": self._stood_parked(first_ns),
+        }
+        impact, odds, unclipped = felt(level, judged, row, NAME, limits, **around)
+        if not whole and hangs(level.x, judged.first, row):
             return  # until it lets go
         needed = limits.judgement.retract if told else limits.judgement.tell if whole else limits.judgement.tell_early
         likely = probability(odds) >= needed
@@ -144,7 +139,17 @@ class ImpactDetector:
             if likely and not same:
                 self._told_ns = int(registers[trigger.START])
                 registers[trigger.SEEN_EARLY] = trigger.TOLD
-                self._begin(impact, odds, row, found, self._begun(pulse, row))
+                self._begin(impact, odds, row, found, self._begun(judged, row))
+            return
+        if likely:
+            pulse = self._described(judged, start, ends, told=told)
+            if pulse != judged:
+                impact, _, unclipped = felt(level, pulse, row, NAME, limits, **around)
+                impact = replace(impact, confidence=confidence(odds, limits.judgement))
+        if likely and not told and not same:  # told now, and again with the end of its flank
+            self._told_ns = int(registers[trigger.START])
+            registers[trigger.SEEN_EARLY], registers[trigger.SETTLED] = trigger.TOLD, now
+            self._begin(impact, odds, row, found, self._begun(pulse, row))
             return
         registers[trigger.PULSE], registers[trigger.FLOOR] = 0, now
         if not likely:
@@ -152,20 +157,24 @@ class ImpactDetector:
         elif told:
             momentum = self._struck(self._opened.momentum, impact, pulse, row, unclipped)
             self._update(impact, odds, row, found, momentum)
-        elif same and self._spins(pulse):
-            return
-        elif same:
+        elif not self._spins(judged):
             self._add(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
-        else:
-            momentum = self._struck(self._begun(pulse, row), impact, pulse, row, unclipped)
-            self._begin(impact, odds, row, found, momentum)
 
-    def _as_told(self) -> tuple[float, float, int]:
-        """Of the pulse that the open accident was told by: its direction in the level frame, and the row then."""
-        impact, t_ns, x = self._opened.impact, self._level.t_ns, self._level.x
-        first, row = np.searchsorted(t_ns, [impact.t_ns, impact.decided_t_ns])
-        (forward, right), cos, sin = impact.delta_v_b_mps, float(x[first, HEADING_COS]), float(x[first, HEADING_SIN])
-        return forward * cos - right * sin, forward * sin + right * cos, int(row)
+    def _described(self, judged: Pulse, start: int, ends: tuple[int, int], *, told: bool) -> Pulse:
+        """The blow by which an accident is described, where it is judged by the spin or the slide that follows it."""
+        level, limits, as_told = self._level, self._limits, ANY
+        t_ns, x = level.t_ns, level.x
+        if told:
+            impact = self._opened.impact
+            first, row = np.searchsorted(t_ns, [impact.t_ns, impact.decided_t_ns])
+            (forward, right), (cos, sin) = impact.delta_v_b_mps, x[first, [HEADING_COS, HEADING_SIN]]
+            as_told = float(forward * cos - right * sin), float(forward * sin + right * cos), int(row)
+        spin_row = spin_from(x, start, judged.first, limits.pulse.spin_radps)
+        if spin_row is not None:
+            ends = spin_row, spin_row
+        elif not told:
+            return judged
+        return read_pulse(t_ns, x, level.flags, start, ends, limits.trigger, limits.pulse, as_told)
 
     def _spins(self, pulse: Pulse) -> bool:
         """Whether what would be a further blow is no more than the spin after the one before does to the box."""

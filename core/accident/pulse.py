@@ -76,6 +76,8 @@ SHAKEN: Final = 0.04
 that fails does not, but for what tilt lays into the vertical. A choice, after NHTSA test 10146 (0.07 and more)."""
 
 
+PLATEAU_NS: Final = 25_000_000
+"""Over what a falling flank is told from what brakes and tyres do, ns: twice that holds three samples at 50 Hz."""
 ANY: Final = (0.0, 0.0, 1 << 60)
 """Nothing was told of a pulse yet."""
 
@@ -155,11 +157,13 @@ def widened(
     onset_s: float,
     tail_s: float,
     after_ns: int,
+    plateau_mps2: float,
 ) -> tuple[int, int, int]:
     """The rows of a pulse around its core, by the acceleration along its direction: since and while it exceeds what
     there was before by ``onset_mps2``, by at most ``onset_s`` on either side and up to the first of ``ends``; and,
     third, until it has fallen to half of that above what there is afterwards, in the last ``after_ns`` up to the second
-    of ``ends``, by at most ``tail_s``: brakes and tyres go on where the pulse does not."""
+    of ``ends``, by at most ``tail_s``, and up to where it falls by less than ``plateau_mps2`` from one 25 ms to the
+    next: brakes and tyres go on where the pulse does not."""
     since = (t_ns[last] - t_ns[first]) * 1e-9
     slow_x, slow_y = x[first, SLOW_X], x[first, SLOW_Y]
     ux, uy = x[last, V_X] - x[first, V_X] - slow_x * since, x[last, V_Y] - x[first, V_Y] - slow_y * since
@@ -190,9 +194,27 @@ def widened(
         over < ends[1]
         and (t_ns[over + 1] - t_ns[last]) * 1e-9 <= tail_s
         and _along(x, over, ux, uy) - after > 0.5 * onset_mps2
+        and (over < stop or _falls(t_ns, x, over, ends[1], ux, uy) >= plateau_mps2)
     ):
         over += 1
     return begin, stop, over
+
+
+@njit(cache=True, nogil=True)
+def _falls(t_ns: TimeArray, x: FloatArray, row: int, end: int, ux: float, uy: float) -> float:
+    """By how much the mean acceleration along a direction falls from one ``PLATEAU_NS`` from a row on to the next,
+    m/s2; endlessly where that is not known yet."""
+    if t_ns[end] - t_ns[row] < 2 * PLATEAU_NS:
+        return math.inf
+    means = [0.0, 0.0]
+    counts = [0, 0]
+    k = row
+    while k <= end and t_ns[k] - t_ns[row] <= 2 * PLATEAU_NS:
+        late = 1 if t_ns[k] - t_ns[row] > PLATEAU_NS else 0
+        means[late] += _along(x, k, ux, uy)
+        counts[late] += 1
+        k += 1
+    return means[0] / counts[0] - means[1] / counts[1] if counts[1] > 0 else math.inf
 
 
 @njit(cache=True, nogil=True)
@@ -342,7 +364,7 @@ def read_pulse(
     core_first, core_last, most = core_rows(t_ns, x, start, ends[0], trigger.rest_s, reach, told)
     first, last, over = widened(
         t_ns, x, flags, core_first, core_last, ends, limits.onset_mps2, limits.onset_s, limits.tail_s,
-        round(trigger.settled_s * 1e9),
+        round(trigger.settled_s * 1e9), limits.plateau_mps2,
     )  # fmt: skip
     stood = bool(x[core_first, REST_S] >= trigger.rest_s)
     dvx, dvy, swing, kept, peak, clipped_s, abrupt, rate, jolt, tip, levelled = measure(

@@ -205,6 +205,9 @@ class PulseThresholds(Tunables):
     tail_s: float = tunable(
         0.15, unit="s", low=0.0, high=0.5, source="choice: the falling flank of a pulse of 0.35 s within tyres' reach"
     )
+    plateau_mps2: float = tunable(
+        0.5, unit="m/s2", low=0.0, high=10.0, source="choice: what falls by less within 25 ms is no flank but brakes"
+    )
     friction_mps2: float = tunable(
         8.0, unit="m/s2", low=2.0, high=12.0, source="choice, 0.8 g: braked wheels take back what pushed a standing car"
     )

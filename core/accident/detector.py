@@ -170,11 +170,12 @@ class ImpactDetector:
             (forward, right), (cos, sin) = impact.delta_v_b_mps, x[first, [HEADING_COS, HEADING_SIN]]
             as_told = float(forward * cos - right * sin), float(forward * sin + right * cos), int(row)
         spin_row = spin_from(x, start, judged.first, limits.pulse.spin_radps)
-        if spin_row is not None:
+        if spin_row is not None and t_ns[spin_row] - t_ns[start] >= _ns(limits.trigger.shortest_s):
             ends = spin_row, spin_row
         elif not told:
             return judged
-        return read_pulse(t_ns, x, level.flags, start, ends, limits.trigger, limits.pulse, as_told)
+        blow = read_pulse(t_ns, x, level.flags, start, ends, limits.trigger, limits.pulse, as_told)
+        return blow if blow.beyond_mps > 0.0 else judged
 
     def _spins(self, pulse: Pulse) -> bool:
         """Whether what would be a further blow is no more than the spin after the one before does to the box."""

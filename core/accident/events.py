@@ -51,6 +51,7 @@ class NoAccident(StrEnum):
     BOX_KNOCKED = "box_knocked"
     BOX_DROPPED = "box_dropped"
     SENSOR_GLITCH = "sensor_glitch"
+    TRAILER_COUPLING = "trailer_coupling"
     UNEXPLAINED = "unexplained"
 
 

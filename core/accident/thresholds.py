@@ -530,6 +530,28 @@ class NamingThresholds(Tunables):
     crossing_shocks: int = tunable(
         3, unit="1", low=2, high=10, source="choice: a pothole or bump makes two, one an axle"
     )
+    train_s: float = tunable(
+        0.45, unit="s", low=0.1, high=2.0, source="choice: longer than a hole shakes a car at speed"
+    )
+    train_m: float = tunable(8.0, unit="m", low=1.0, high=100.0, source="choice: two lengths of a car")
+    train_mps2: float = tunable(
+        1.9, unit="m/s2", low=0.5, high=20.0, source="choice: rms before, on a road that shakes on: ISO 8608 class D"
+    )
+    crossing_m: float = tunable(
+        4.0, unit="m", low=1.0, high=20.0, source="two axles, 2.6 m apart, over a track of 1.435 m"
+    )
+    crossing_most_m: float = tunable(
+        20.0, unit="m", low=4.0, high=100.0, source="choice: two tracks, two axles, and the springs' way to rest"
+    )
+    crossing_crest: float = tunable(
+        3.4, unit="1", low=1.0, high=10.0, source="choice: 4 to 8 blows; one hole stands out of its second by 4 to 7"
+    )
+    even_share: float = tunable(
+        0.25, unit="1", low=0.0, high=2.0, source="choice: what both wheels of an axle meet at once hardly rolls a car"
+    )
+    pushed_radps: float = tunable(
+        0.03, unit="rad/s", low=0.0, high=1.0, source="choice, 2 deg/s: a car pitches by it when pushed"
+    )
     kerb_mps: float = tunable(8.0, unit="m/s", low=1.0, high=15.0, source="choice: kerbs are mounted slowly")
     kerb_radps: float = tunable(0.35, unit="rad/s", low=0.05, high=3.0, source="choice: one side is lifted at a time")
     bump_s: float = tunable(

@@ -49,9 +49,9 @@ NAMES: Final[Mapping[NonAccident, frozenset[NoAccident]]] = {
     NonAccident.SENSOR_GLITCH: frozenset({NoAccident.SENSOR_GLITCH}),
     NonAccident.FERRY: frozenset({NoAccident.FERRY}),
     NonAccident.CAR_WASH: frozenset({NoAccident.VIBRATION_TRAIN}),
-    NonAccident.TRAILER_COUPLING: frozenset({NoAccident.UNEXPLAINED, NoAccident.KERB}),
+    NonAccident.TRAILER_COUPLING: frozenset({NoAccident.TRAILER_COUPLING}),
 }
-"""The detector's names that are right for what is simulated; a coupling has none of its own."""
+"""The detector's names that are right for what is simulated."""
 
 
 @dataclass(frozen=True, slots=True)

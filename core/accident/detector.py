@@ -132,8 +132,7 @@ class ImpactDetector:
         impact, odds, unclipped = felt(level, judged, row, NAME, limits, **around)
         if not whole and hangs(level.x, judged.first, row):
             return  # until it lets go
-        needed = limits.judgement.retract if told else limits.judgement.tell if whole else limits.judgement.tell_early
-        likely = probability(odds) >= needed
+        likely = probability(odds) >= self._needed(whole=whole, told=told)
         same = self._open is not None and impact.t_ns <= self._open.last_ns + _ns(limits.aftermath.grouping_s)
         if not whole:
             if likely and not same:
@@ -159,6 +158,13 @@ class ImpactDetector:
             self._update(impact, odds, row, found, momentum)
         elif not self._spins(judged):
             self._add(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
+
+    def _needed(self, *, whole: bool, told: bool) -> float:
+        """How likely a pulse has to be for it to be told, or not to be taken back."""
+        limits = self._limits.judgement
+        if whole:  # what was hardly plain when it was told has to hold
+            return limits.retract if told and probability(self._opened.odds) >= limits.tell_early else limits.tell
+        return limits.tell_late if self._registers[trigger.SEEN_EARLY] >= trigger.LATE else limits.tell_early
 
     def _described(self, judged: Pulse, start: int, ends: tuple[int, int], *, told: bool) -> Pulse:
         """The blow by which an accident is described, where it is judged by the spin or the slide that follows it."""

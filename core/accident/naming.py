@@ -100,7 +100,7 @@ def _pushed_along(shock: Shock, limits: NamingThresholds) -> bool:
 def _is_train(shock: Shock, limits: NamingThresholds) -> bool:
     """Whether a rough road shook on and on, one side unlike the other."""
     goes_on = shock.shaken_s > limits.train_s and shock.shaken_s * shock.speed_mps > limits.train_m
-    uneven = shock.sway_radps > shock.nod_radps
+    uneven = shock.sway_radps > shock.nod_radps and shock.vertical_mps2 > limits.level_share * shock.horizontal_mps2
     return goes_on and uneven and shock.rough_mps2 > limits.train_mps2
 
 

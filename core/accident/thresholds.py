@@ -255,6 +255,9 @@ class JudgementThresholds(Tunables):
     tell_early: float = tunable(
         0.85, unit="1", low=0.5, high=0.999, source="choice: what is not over yet is told only where it is plain"
     )
+    tell_late: float = tunable(
+        0.7, unit="1", low=0.5, high=0.999, source="choice: the same at the last looks, as 150 ms are nearly over"
+    )
     retract: float = tunable(
         0.3, unit="1", low=0.0, high=0.9, source="choice: below tell, so that what is told does not flicker"
     )
@@ -344,7 +347,7 @@ class JudgementThresholds(Tunables):
         2.0, unit="1", low=0.0, high=5.0, source="choice: of the speed's own error, one case in 40"
     )
     crawl_aside: float = tunable(
-        0.6, unit="1", low=0.0, high=1.0, source="choice: a kerb stone stops a car along its way, within 37 deg"
+        0.75, unit="1", low=0.0, high=1.0, source="choice: a kerb stone stops a car along its way, within 49 deg"
     )
     speed_sd_mps: float = tunable(
         0.1, unit="m/s", low=0.0, high=2.0, source="measured (bench --accidents --part errors): RMS 0.07 m/s"

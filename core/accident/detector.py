@@ -17,7 +17,7 @@ from core.accident.events import Candidate, Findings, Impact, Kind, Severity, St
 from core.accident.impacts import belonging, deployed, felt, refined
 from core.accident.judgement import AIRBAG_DEPLOYED, Aftermath, confidence, followed, probability, reasons
 from core.accident.level import HEADING_COS, HEADING_SIN, YAW_RATE, LevelMotion
-from core.accident.momentum import Momentum, begun, checked, settled, struck
+from core.accident.momentum import MOST_BLOWS, Momentum, begun, checked, settled, struck
 from core.accident.open_accident import Open, Weak
 from core.accident.pulse import ANY, Pulse, hangs, read_pulse, spin_from
 from core.accident.thresholds import DetectorThresholds
@@ -145,7 +145,8 @@ class ImpactDetector:
             if pulse != judged:
                 impact, _, unclipped = felt(level, pulse, row, NAME, limits, **around)
                 impact = replace(impact, confidence=confidence(odds, limits.judgement))
-        if likely and not told and not same:  # told now, and again with the end of its flank
+        broken_off = evidence_row < row
+        if likely and not told and not same and not broken_off:  # told now, and again with the end of its flank
             self._told_ns = int(registers[trigger.START])
             registers[trigger.SEEN_EARLY], registers[trigger.SETTLED] = trigger.TOLD, now
             self._begin(impact, odds, row, found, self._begun(pulse, row))
@@ -154,8 +155,10 @@ class ImpactDetector:
         if not likely:
             self._dismiss(impact, odds, told, row, found)
         elif told:
-            momentum = self._struck(self._opened.momentum, impact, pulse, row, unclipped)
-            self._update(impact, odds, row, found, momentum)
+            self._update(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
+        elif not same:
+            momentum = self._struck(self._begun(pulse, row), impact, pulse, row, unclipped)
+            self._begin(impact, odds, row, found, momentum)
         elif not self._spins(judged):
             self._add(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
 
@@ -195,7 +198,7 @@ class ImpactDetector:
     def _struck(
         self, was: Momentum | None, impact: Impact, pulse: Pulse, row: int, whole: Whole | None
     ) -> Momentum | None:
-        if was is None:
+        if was is None or len(was.blows) >= MOST_BLOWS:
             return None
         t_ns, x, flags = self._level.t_ns, self._level.x, self._level.flags
         was = checked(was, t_ns, x, flags, (pulse.first, row), self._registers, self._limits.aftermath)

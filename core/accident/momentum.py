@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from core.accident.events import Impact, impact_of
 from core.accident.level import CLIPPED, GAP, HEADING_COS, HEADING_SIN, REST_S, SPEED, V_X, V_Y, YAW_RATE, Flags
 from core.accident.thresholds import AftermathThresholds
 from core.measurements import FloatArray, TimeArray
+
+MOST_BLOWS: Final = 16
+"""Of so many impacts no sum over them says anything of one. A choice, so that an accident's state stays small."""
 
 Pair = tuple[float, float]
 """A horizontal vector in the level frame."""

@@ -120,7 +120,7 @@ def accident_record(
         last = story.last
         low, high = last.delta_v_interval_mps
         record |= {
-            "delay_s": (story.first.decided_t_ns - t_ns) * 1e-9,
+            "delay_s": (story.first.decided_t_ns - t_ns) / 1e9,  # so that 150 ms are 0.15 s to the bit
             "start_error_s": (story.first.t_ns - t_ns) * 1e-9,
             "clipped": last.clipped,
             "delta_v_error_mps": last.delta_v_mps - truth.delta_v_mps,

@@ -75,7 +75,8 @@ def unclip(t_ns: TimeArray, x: FloatArray, flags: Flags, first: int, last: int) 
     rows = slice(first, last + 1)
     read = np.column_stack([x[rows, A_X] * cos + x[rows, A_Y] * sin, -x[rows, A_X] * sin + x[rows, A_Y] * cos])
     at_scale = np.zeros(read.shape, dtype=np.bool_)
-    scale = float(np.max(np.abs(read[clipped - first])))
+    # What shakes the vertical lays a part of itself into the plane where the box is tilted: the median is the scale.
+    scale = float(np.median(np.max(np.abs(read[clipped - first]), axis=1)))
     at_scale[clipped - first] = np.abs(read[clipped - first]) >= AT_SCALE * scale
     found = _fit((t_ns[rows] - t_ns[first]) * 1e-9, read, at_scale.astype(np.float64), scale)
     size, sd, low, high, duration_s, mean, covariance, unit = found

@@ -5,90 +5,29 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Final
+from dataclasses import asdict, replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from core.accident import paper_rule, trigger
+from core.accident import suppressed, trigger
 from core.accident.clipping import Whole
-from core.accident.events import (
-    Candidate,
-    Findings,
-    Impact,
-    InjuryRisk,
-    Kind,
-    NoAccident,
-    Severity,
-    Status,
-    VehicleMotion,
-)
-from core.accident.impacts import deployed, felt, overturned, refined
-from core.accident.judgement import (
-    AIRBAG_DEPLOYED,
-    Aftermath,
-    confidence,
-    followed,
-    probability,
-    reasons,
-)
-from core.accident.level import SPEED, UPRIGHT, LevelMotion
-from core.accident.momentum import Momentum, begun, settled, struck
-from core.accident.naming import lean, manoeuvre, name
-from core.accident.pulse import Pulse, hangs, read_pulse
-from core.accident.shocks import read_shock
+from core.accident.events import Candidate, Findings, Impact, Kind, Severity, Status, VehicleMotion
+from core.accident.impacts import belonging, deployed, felt, refined
+from core.accident.judgement import AIRBAG_DEPLOYED, Aftermath, confidence, followed, probability, reasons
+from core.accident.level import HEADING_COS, HEADING_SIN, YAW_RATE, LevelMotion
+from core.accident.momentum import MOST_BLOWS, Momentum, begun, checked, settled, struck
+from core.accident.open_accident import Open, Weak
+from core.accident.pulse import ANY, Pulse, hangs, read_pulse, spin_from
 from core.accident.thresholds import DetectorThresholds
+from core.accident.tilted import lying
 from core.accident.trigger import NEVER, Stop, scan
 from core.measurements import FLAG_AIRBAG, FLAG_POWER_LOSS, FLAG_TOW, FloatArray
 
 NAME: Final = "telefuse"
 
 _RANKS: Final = (Severity.LOW_SPEED, Severity.SEVERE, Severity.AIRBAG)
-
-ROLLOVER_ODDS: Final = 2.0
-"""Log-odds that a vehicle which lies on its side after it moved has rolled over. A choice."""
-LOOSE_ODDS: Final = -4.0
-"""The same where it had stood, or the box fell or spun as no car does. A choice."""
-
-
-FELL_BEFORE_S: Final = 0.6
-"""How long before a shock a fall is its cause, s: it ends a fall of up to a metre. A choice."""
-FELL_BEFORE_TILT_S: Final = 1.5
-"""The same before a box lies on its side: it tumbles on. A choice."""
-
-
-TUMBLES_RADPS: Final = 2.0
-"""Cars roll over about their long axis: who turns so fast rather across it, 115 deg/s, is a box. A choice."""
-AIRBAG_ODDS: Final = 2.0
-"""Log-odds of an accident when an airbag is said to have fired and nothing was felt: most such flags are right, a bus
-errs at times. A choice."""
-TIPPED_S: Final = 1.5
-"""Within what a vehicle tips from half of ``tilt_deg`` to it, s. A choice: 20 deg/s, slower than any rollover."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Open:
-    """The accident that is followed: as it was told last, its log-odds, and when its latest impact ended."""
-
-    impact: Impact
-    odds: float
-    last_ns: int
-    momentum: Momentum | None = None
-    airbag: bool = False
-    power_loss: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class _Weak:
-    """A suspected pulse that was judged to be none; a shock around it gives its name."""
-
-    t_ns: int
-    odds: float
-    delta_v_mps: float
-    duration_s: float
-    peak_mps2: float
-    paper_agrees: bool
 
 
 class ImpactDetector:
@@ -107,8 +46,8 @@ class ImpactDetector:
         self._marks: FloatArray = np.zeros(trigger.MARKS)
         self._spans_ns = trigger.times_ns(limits.trigger, limits.aftermath)
         self._reaches = trigger.levels(limits.trigger)
-        self._open: _Open | None = None
-        self._weak: _Weak | None = None
+        self._open: Open | None = None
+        self._weak: Weak | None = None
         self._flags: int | None = None
         self._airbag_ns = self._power_loss_ns = NEVER
         self._towed = False
@@ -172,8 +111,8 @@ class ImpactDetector:
         self._registers = np.array(arrays["detector.registers"], dtype=np.int64)
         self._marks = np.array(arrays["detector.marks"], dtype=np.float64)
         kept = json.loads(arrays["detector.kept"].tobytes())
-        self._open = None if kept["open"] is None else _open_from(kept["open"])
-        self._weak = None if kept["weak"] is None else _Weak(**kept["weak"])
+        self._open = None if kept["open"] is None else Open.of(kept["open"])
+        self._weak = None if kept["weak"] is None else Weak(**kept["weak"])
         self._flags, self._told_ns = kept["flags"], kept["told_ns"]
         self._airbag_ns, self._power_loss_ns = kept["airbag_ns"], kept["power_loss_ns"]
 
@@ -183,44 +122,87 @@ class ImpactDetector:
         t_ns, now = level.t_ns, int(level.t_ns[row])
         start = int(np.searchsorted(t_ns, registers[trigger.START]))
         ends = evidence_row, max(row - 1, evidence_row)
-        pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse)
-        fell, parked = self._fell(int(t_ns[pulse.first])), self._stood_parked(int(t_ns[pulse.first]))
-        impact, odds, unclipped = felt(level, pulse, row, NAME, limits, fell=fell, parked=parked)
-        if not whole and hangs(level.x, pulse.first, row):
-            return  # until it lets go
         told = self._told_ns == registers[trigger.START]
-        needed = limits.judgement.retract if told else limits.judgement.tell if whole else limits.judgement.tell_early
-        likely = probability(odds) >= needed
+        judged = pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse)
+        first_ns = int(t_ns[judged.first])
+        around = {
+            "fell": trigger.fell(registers, first_ns, limits.trigger.fell_before_s),
+            "parked": self._stood_parked(first_ns),
+        }
+        impact, odds, unclipped = felt(level, judged, row, NAME, limits, **around)
+        if not whole and hangs(level.x, judged.first, row):
+            return  # until it lets go
+        likely = probability(odds) >= self._needed(whole=whole, told=told)
         same = self._open is not None and impact.t_ns <= self._open.last_ns + _ns(limits.aftermath.grouping_s)
         if not whole:
             if likely and not same:
                 self._told_ns = int(registers[trigger.START])
                 registers[trigger.SEEN_EARLY] = trigger.TOLD
-                self._begin(impact, odds, row, found, self._begun(pulse, row))
+                self._begin(impact, odds, row, found, self._begun(judged, row))
+            return
+        if likely:
+            pulse = self._described(judged, start, ends, told=told)
+            if pulse != judged:
+                impact, _, unclipped = felt(level, pulse, row, NAME, limits, **around)
+                impact = replace(impact, confidence=confidence(odds, limits.judgement))
+        broken_off = evidence_row < row
+        if likely and not told and not same and not broken_off:  # told now, and again with the end of its flank
+            self._told_ns = int(registers[trigger.START])
+            registers[trigger.SEEN_EARLY], registers[trigger.SETTLED] = trigger.TOLD, now
+            self._begin(impact, odds, row, found, self._begun(pulse, row))
             return
         registers[trigger.PULSE], registers[trigger.FLOOR] = 0, now
         if not likely:
             self._dismiss(impact, odds, told, row, found)
         elif told:
-            momentum = self._struck(self._opened.momentum, pulse, unclipped, worst=True)
-            self._update(replace(impact, t_ns=self._opened.impact.t_ns), odds, row, found, momentum)
-        elif same:
-            worse = impact.delta_v_mps > self._opened.impact.delta_v_mps
-            self._add(impact, odds, row, found, self._struck(self._opened.momentum, pulse, unclipped, worst=worse))
-        else:
-            momentum = self._struck(self._begun(pulse, row), pulse, unclipped, worst=True)
+            self._update(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
+        elif not same:
+            momentum = self._struck(self._begun(pulse, row), impact, pulse, row, unclipped)
             self._begin(impact, odds, row, found, momentum)
+        elif not self._spins(judged):
+            self._add(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
+
+    def _needed(self, *, whole: bool, told: bool) -> float:
+        """How likely a pulse has to be for it to be told, or not to be taken back."""
+        limits = self._limits.judgement
+        if whole:  # what was hardly plain when it was told has to hold
+            return limits.retract if told and probability(self._opened.odds) >= limits.tell_early else limits.tell
+        return limits.tell_late if self._registers[trigger.SEEN_EARLY] >= trigger.LATE else limits.tell_early
+
+    def _described(self, judged: Pulse, start: int, ends: tuple[int, int], *, told: bool) -> Pulse:
+        """The blow by which an accident is described, where it is judged by the spin or the slide that follows it."""
+        level, limits, as_told = self._level, self._limits, ANY
+        t_ns, x = level.t_ns, level.x
+        if told:
+            impact = self._opened.impact
+            first, row = np.searchsorted(t_ns, [impact.t_ns, impact.decided_t_ns])
+            (forward, right), (cos, sin) = impact.delta_v_b_mps, x[first, [HEADING_COS, HEADING_SIN]]
+            as_told = float(forward * cos - right * sin), float(forward * sin + right * cos), int(row)
+        spin_row = spin_from(x, start, judged.first, limits.pulse.spin_radps)
+        if spin_row is not None and t_ns[spin_row] - t_ns[start] >= _ns(limits.trigger.shortest_s):
+            ends = spin_row, spin_row
+        elif not told:
+            return judged
+        blow = read_pulse(t_ns, x, level.flags, start, ends, limits.trigger, limits.pulse, as_told)
+        return blow if blow.beyond_mps > 0.0 else judged
+
+    def _spins(self, pulse: Pulse) -> bool:
+        """Whether what would be a further blow is no more than the spin after the one before does to the box."""
+        limits, rate = self._limits.pulse, abs(float(self._level.x[pulse.first, YAW_RATE]))
+        return rate > limits.spin_radps and pulse.beyond_mps < rate * rate * limits.arm_m * pulse.felt_s
 
     def _begun(self, pulse: Pulse, row: int) -> Momentum:
         level = self._level
         return begun(level.t_ns, level.x, level.flags, pulse.first, row, self._registers)
 
-    def _struck(self, was: Momentum | None, pulse: Pulse, whole: Whole | None, *, worst: bool) -> Momentum | None:
-        level, rows = self._level, (pulse.first, pulse.last)
-        return None if was is None else struck(was, level.t_ns, level.x, level.flags, rows, whole, worst=worst)
-
-    def _fell(self, t_ns: int, within_s: float = FELL_BEFORE_S) -> bool:
-        return t_ns - int(self._registers[trigger.FELL]) < _ns(within_s)
+    def _struck(
+        self, was: Momentum | None, impact: Impact, pulse: Pulse, row: int, whole: Whole | None
+    ) -> Momentum | None:
+        if was is None or len(was.blows) >= MOST_BLOWS:
+            return None
+        t_ns, x, flags = self._level.t_ns, self._level.x, self._level.flags
+        was = checked(was, t_ns, x, flags, (pulse.first, row), self._registers, self._limits.aftermath)
+        return struck(was, impact, t_ns, x, flags, (pulse.first, pulse.last), whole)
 
     def _stood_parked(self, t_ns: int) -> bool:
         """Whether the vehicle stood, parked, until a time: what then pushes it is no journey's accident."""
@@ -234,7 +216,7 @@ class ImpactDetector:
         return t_ns - moved_ns > _ns(self._limits.aftermath.parked_s)
 
     @property
-    def _opened(self) -> _Open:
+    def _opened(self) -> Open:
         assert self._open is not None
         return self._open
 
@@ -242,7 +224,7 @@ class ImpactDetector:
         """Tell a new accident; one that is still open is closed first."""
         if self._open is not None:
             self._close(row, found)
-        self._open = _Open(impact, odds, impact.decided_t_ns, momentum)
+        self._open = Open(impact, odds, impact.decided_t_ns, momentum)
         self._registers[trigger.OPEN], self._registers[trigger.OPEN_FROM] = 1, impact.decided_t_ns
         self._marks[trigger.LEAST_SPEED] = math.nan
         self._marks[[trigger.MOST_ROUGH, trigger.TURNED, trigger.LONGEST_REST]] = 0.0
@@ -270,14 +252,10 @@ class ImpactDetector:
         if was.airbag and AIRBAG_DEPLOYED not in impact.reasons:
             impact = replace(impact, reasons=(AIRBAG_DEPLOYED, *impact.reasons))
         impact = replace(
-            impact,
+            belonging(impact, was.impact),
             revision=was.impact.revision + 1,
             impacts=was.impact.impacts if impacts is None else impacts,
-            kind=was.impact.kind,
-            rollover=was.impact.rollover or impact.rollover,
             confidence=confidence(odds, self._limits.judgement),
-            speed_before_mps=was.impact.speed_before_mps,
-            paper_agrees=was.impact.paper_agrees or impact.paper_agrees,
         )
         self._open = replace(was, impact=impact, odds=odds, last_ns=int(self._level.t_ns[row]), momentum=momentum)
         found.impacts.append(impact)
@@ -288,7 +266,7 @@ class ImpactDetector:
         was = self._opened
         count, odds = was.impact.impacts + 1, max(odds, was.odds)
         if impact.delta_v_mps > was.impact.delta_v_mps:
-            self._update(replace(impact, t_ns=was.impact.t_ns), odds, row, found, momentum, impacts=count)
+            self._update(impact, odds, row, found, momentum, impacts=count)
             return
         was = replace(was, impact=replace(was.impact, impacts=count), odds=odds, last_ns=impact.decided_t_ns)
         self._open = replace(was, momentum=momentum)
@@ -301,7 +279,7 @@ class ImpactDetector:
             return
         if self._weak is None or odds > self._weak.odds:
             delta_v, agrees = impact.delta_v_mps, impact.paper_agrees
-            self._weak = _Weak(impact.t_ns, odds, delta_v, impact.duration_s, impact.peak_mps2, agrees)
+            self._weak = Weak(impact.t_ns, odds, delta_v, impact.duration_s, impact.peak_mps2, agrees)
         if told:
             self._finish(replace(impact, t_ns=self._opened.impact.t_ns), odds, Status.RETRACTED, found)
         if registers[trigger.SHOCK_START] == NEVER:
@@ -328,15 +306,16 @@ class ImpactDetector:
         impact = self._settled(was, row)
         self._finish(replace(impact, decided_t_ns=now, reasons=told), odds, status, found)
 
-    def _settled(self, was: _Open, row: int) -> Impact:
-        """The open accident with what its rest, or its rolling on, tells of what clipped."""
-        impact, limits, level = was.impact, self._limits, self._level
-        if was.momentum is None or impact.rollover:
-            return impact
+    def _settled(self, was: Open, row: int) -> Impact:
+        """The open accident with what its rest, or its rolling on, tells of what clipped: also which blow was worst."""
+        if was.momentum is None or was.impact.rollover:
+            return was.impact
+        level, limits = self._level, self._limits
         found = settled(was.momentum, level.t_ns, level.x, row, self._registers, limits.aftermath)
         if found is None:
-            return impact
-        return refined(impact, *found, limits)
+            return was.impact
+        worst, mean_mps, covariance = found
+        return belonging(refined(worst, mean_mps, covariance, limits) if worst.clipped else worst, was.impact)
 
     def _finish(self, impact: Impact, odds: float, status: Status, found: Findings) -> None:
         was = self._opened
@@ -345,122 +324,44 @@ class ImpactDetector:
         found.impacts.append(impact)
         self._open, self._registers[trigger.OPEN] = None, 0
         if status is Status.RETRACTED and self._weak is None:
-            felt = (impact.delta_v_mps, 0.0, impact.peak_mps2, impact.duration_s)
-            paper = impact.paper_agrees
-            found.candidates.append(
-                Candidate(
-                    impact.t_ns, impact.decided_t_ns, NoAccident.UNEXPLAINED, said, *felt,
-                    impact.speed_before_mps, paper,
-                )
-            )  # fmt: skip
+            found.candidates.append(suppressed.of_retracted(impact))
 
     def _name_shocks(self, row: int, found: Findings) -> None:
         """Tell what a shock, or a train of them, was; what belongs to an accident is no candidate."""
-        registers, level, weak = self._registers, self._level, self._weak
-        start_ns, last_ns = int(registers[trigger.SHOCK_START]), int(registers[trigger.SHOCK_LAST])
-        registers[trigger.SHOCK_START], self._weak = NEVER, None
-        if self._open is not None:
-            return
-        shock, swing_mps, delta_v_mps, duration_s = read_shock(
-            level.t_ns, level.x, level.flags, start_ns, last_ns,
-            shocks=int(registers[trigger.SHOCKS]),
-            fell=self._fell(start_ns),
-            moved=start_ns - registers[trigger.MOVED] < _ns(self._limits.aftermath.parked_s),
-            towed=self._towed,
-        )  # fmt: skip
-        found.candidates.append(
-            Candidate(
-                t_ns=start_ns if weak is None else weak.t_ns,
-                decided_t_ns=int(level.t_ns[row]),
-                reason=name(shock, self._limits.naming),
-                probability=0.0 if weak is None else confidence(weak.odds, self._limits.judgement),
-                delta_v_mps=delta_v_mps if weak is None else weak.delta_v_mps,
-                vertical_mps=swing_mps,
-                peak_mps2=max(shock.vertical_mps2, shock.horizontal_mps2),
-                duration_s=duration_s if weak is None else weak.duration_s,
-                speed_before_mps=shock.speed_mps,
-                paper_agrees=False if weak is None else weak.paper_agrees,
+        if self._open is None:
+            found.candidates.append(
+                suppressed.of_shocks(self._level, self._registers, row, self._weak, self._limits, towed=self._towed)
             )
-        )
+        self._registers[trigger.SHOCK_START], self._weak = NEVER, None
 
     def _name_manoeuvre(self, row: int, found: Findings) -> None:
         """Tell emergency braking and hard cornering, unless it was an accident's."""
-        registers, marks, level = self._registers, self._marks, self._level
-        since_ns, until_ns = int(registers[trigger.HARD_SINCE]), int(registers[trigger.HARD_UNTIL])
+        registers = self._registers
+        if self._open is None:
+            candidate = suppressed.of_manoeuvre(self._level, registers, self._marks, row, self._limits)
+            if candidate is not None:
+                found.candidates.append(candidate)
         registers[[trigger.HARD_SINCE, trigger.HARD_UNTIL]] = NEVER
-        forward, right = float(marks[trigger.HARD_X]), float(marks[trigger.HARD_Y])
-        reason = manoeuvre(forward, right, self._limits.naming)
-        if self._open is not None or reason is NoAccident.UNEXPLAINED:
-            return
-        first = min(int(np.searchsorted(level.t_ns, since_ns)), row)
-        peak, duration_s = math.hypot(forward, right), (until_ns - since_ns) * 1e-9
-        found.candidates.append(
-            Candidate(
-                t_ns=since_ns,
-                decided_t_ns=int(level.t_ns[row]),
-                reason=reason,
-                probability=0.0,
-                delta_v_mps=peak * duration_s,
-                vertical_mps=0.0,
-                peak_mps2=peak,
-                duration_s=duration_s,
-                speed_before_mps=float(level.x[first, SPEED]),
-                paper_agrees=paper_rule.holds_within(level.x, first, row, self._limits.paper),
-            )
-        )
 
     def _lies(self, row: int, found: Findings) -> None:
-        """The vehicle lies on its side or roof; or the box does, which had stood, fell or spun as no car does."""
-        registers, level, limits = self._registers, self._level, self._limits
-        since_ns, now = int(registers[trigger.TILTED]), int(level.t_ns[row])
+        """Something lies on its side or roof: the vehicle, as an accident's part or by itself, or the box."""
+        level, limits = self._level, self._limits
         if self._open is not None:
             was = self._open
             severity = max(was.impact.severity, Severity.SEVERE, key=_RANKS.index)
-            impact = replace(was.impact, decided_t_ns=now, rollover=True, severity=severity)
-            self._update(impact, max(was.odds, ROLLOVER_ODDS), row, found, was.momentum)
+            impact = replace(was.impact, decided_t_ns=int(level.t_ns[row]), rollover=True, severity=severity)
+            self._update(impact, max(was.odds, limits.rollover.odds), row, found, was.momentum)
             return
-        first = int(np.searchsorted(level.t_ns, since_ns - _ns(1.0)))
-        shock, swing_mps, delta_v_mps, _ = read_shock(
-            level.t_ns, level.x, level.flags, since_ns - _ns(1.0), since_ns,
-            shocks=0,
-            fell=self._fell(since_ns, FELL_BEFORE_TILT_S),
-            moved=since_ns - registers[trigger.MOVED] < _ns(limits.aftermath.parked_s),
-            towed=self._towed,
-        )  # fmt: skip
-        rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
-        # Cars tip over within a second; what crept there, from half as far, was a box that had come to lie so.
-        half_way = math.cos(math.radians(0.5 * limits.trigger.tilt_deg))
-        crept = level.x[np.searchsorted(level.t_ns, since_ns - _ns(TIPPED_S)), UPRIGHT] < half_way
-        tumbles = shock.nod_radps > max(TUMBLES_RADPS, shock.sway_radps) or rate > limits.judgement.rotation_radps
-        loose = shock.stood or shock.fell or crept or tumbles
-        speed_mps = float(level.x[first, SPEED])
-        agrees = paper_rule.holds_within(level.x, first, row, limits.paper)
-        if loose:
-            reason = NoAccident.BOX_DROPPED if shock.fell else NoAccident.BOX_KNOCKED
-            found.candidates.append(
-                Candidate(
-                    since_ns, now, reason, confidence(LOOSE_ODDS, limits.judgement), delta_v_mps, swing_mps,
-                    shock.horizontal_mps2, (now - since_ns) * 1e-9, speed_mps, agrees,
-                )
-            )  # fmt: skip
-            return
-        felt = delta_v_mps, shock.horizontal_mps2
-        tilted = int(np.searchsorted(level.t_ns, since_ns))
-        impact = overturned(level, tilted, row, NAME, ROLLOVER_ODDS, felt, limits)
-        self._begin(impact, ROLLOVER_ODDS, row, found)
+        lies = lying(level, self._registers, row, NAME, limits, towed=self._towed)
+        if isinstance(lies, Candidate):
+            found.candidates.append(lies)
+        else:
+            self._begin(lies, limits.rollover.odds, row, found)
 
     def _leans(self, row: int, found: Findings) -> None:
         """Tell what leans a parked vehicle."""
-        registers, level = self._registers, self._level
-        since_ns, now = int(registers[trigger.LEAN_LAST]), int(level.t_ns[row])
-        if self._open is not None:
-            return
-        reason = lean(int(registers[trigger.LEANS]), self._limits.naming)
-        found.candidates.append(
-            Candidate(
-                since_ns, now, reason, 0.0, 0.0, 0.0, 0.0, (now - since_ns) * 1e-9, float(level.x[row, SPEED]), False
-            )
-        )
+        if self._open is None:
+            found.candidates.append(suppressed.of_lean(self._level, self._registers, row, self._limits))
 
     def _take_flags(self, flags: int, found: Findings) -> None:
         """An airbag or a loss of power near an open accident makes it surer; an airbag is told at once."""
@@ -475,7 +376,8 @@ class ImpactDetector:
             self._power_loss_ns = now
         self._flags = flags
         if self._open is None and risen & FLAG_AIRBAG and fresh:
-            self._begin(deployed(self._level, row, NAME, AIRBAG_ODDS, limits), AIRBAG_ODDS, row, found)
+            odds = limits.judgement.airbag
+            self._begin(deployed(self._level, row, NAME, odds, limits), odds, row, found)
             self._open = replace(self._opened, airbag=True)
             return
         if self._open is None:
@@ -492,16 +394,3 @@ class ImpactDetector:
 
 def _ns(seconds: float) -> int:
     return round(seconds * 1e9)
-
-
-def _open_from(kept: dict[str, Any]) -> _Open:
-    """What ``asdict`` and JSON made of an open accident."""
-    impact = dict(kept["impact"])
-    for field in ("delta_v_b_mps", "delta_v_interval_mps", "reasons"):
-        impact[field] = tuple(impact[field])
-    impact |= {
-        "severity": Severity(impact["severity"]), "kind": Kind(impact["kind"]), "status": Status(impact["status"])
-    }  # fmt: skip
-    impact["injury"] = None if impact["injury"] is None else InjuryRisk(**impact["injury"])
-    momentum = None if kept["momentum"] is None else Momentum.of(kept["momentum"])
-    return _Open(**(kept | {"impact": Impact(**impact), "momentum": momentum}))

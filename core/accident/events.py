@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from core.measurements import FloatArray, TimeArray
 
@@ -50,6 +51,7 @@ class NoAccident(StrEnum):
     BOX_KNOCKED = "box_knocked"
     BOX_DROPPED = "box_dropped"
     SENSOR_GLITCH = "sensor_glitch"
+    TRAILER_COUPLING = "trailer_coupling"
     UNEXPLAINED = "unexplained"
 
 
@@ -137,6 +139,23 @@ class Impact:
     rollover: bool = False
     injury: InjuryRisk | None = None
     reasons: tuple[str, ...] = ()
+
+
+def impact_of(kept: Mapping[str, Any]) -> Impact:
+    """An impact of what ``asdict`` and JSON made of one."""
+    pairs = {field: tuple(kept[field]) for field in ("delta_v_b_mps", "delta_v_interval_mps", "reasons")}
+    return Impact(
+        **(
+            dict(kept)
+            | pairs
+            | {
+                "severity": Severity(kept["severity"]),
+                "kind": Kind(kept["kind"]),
+                "status": Status(kept["status"]),
+                "injury": None if kept["injury"] is None else InjuryRisk(**kept["injury"]),
+            }
+        )
+    )
 
 
 @dataclass(frozen=True, slots=True)

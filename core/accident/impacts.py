@@ -111,6 +111,20 @@ def refined(impact: Impact, mean_mps: FloatArray, covariance: FloatArray, limits
     )
 
 
+def belonging(impact: Impact, accident: Impact) -> Impact:
+    """An impact as an accident's worst, that was told before with another one's figures."""
+    return replace(
+        impact,
+        t_ns=accident.t_ns,
+        revision=accident.revision,
+        impacts=accident.impacts,
+        kind=accident.kind,
+        rollover=accident.rollover or impact.rollover,
+        speed_before_mps=accident.speed_before_mps,
+        paper_agrees=accident.paper_agrees or impact.paper_agrees,
+    )
+
+
 def overturned(
     level: LevelMotion,
     first: int,

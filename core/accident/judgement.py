@@ -104,10 +104,14 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
 
 
 def _stopped_by_a_stone(evidence: Evidence, limits: JudgementThresholds) -> bool:
-    """Whether a crawling vehicle lost no more than its speed and some rebound, along its way: as at a kerb stone."""
+    """Whether a crawling vehicle lost no more than its speed and some rebound, along its way: as at a kerb stone.
+
+    A stone met aslant pushes across as well.
+    """
     crawls = evidence.speed_mps < limits.crawl_mps and not evidence.stood
     most_mps = limits.crawl_share * (evidence.speed_mps + limits.crawl_sds * limits.speed_sd_mps)
-    return crawls and evidence.delta_v_mps < most_mps and evidence.aside < limits.crawl_aside
+    along_mps = evidence.delta_v_mps * math.sqrt(1.0 - min(evidence.aside, 1.0) ** 2)
+    return crawls and along_mps < most_mps and evidence.aside < limits.crawl_aside
 
 
 def _is_still(evidence: Evidence, limits: JudgementThresholds) -> bool:

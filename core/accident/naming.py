@@ -21,6 +21,8 @@ class Shock:
     abrupt : largest acceleration right before and after, over the peak
     clipping_s : for how long an axis of the accelerometer read its full scale at a stretch
     heave_s : length of the largest vertical swing
+    shaken_s : for how long the vertical shakes by more than a third of its peak, from first to last
+    crest : that peak over the rms around it
     sway_radps, nod_radps, turn_radps : largest roll, pitch and yaw rates
     rough_mps2 : rms of the vertical acceleration just before
     forward_mps2, right_mps2 : the mean horizontal acceleration of it
@@ -36,6 +38,8 @@ class Shock:
     abrupt: float
     clipping_s: float
     heave_s: float
+    shaken_s: float
+    crest: float
     sway_radps: float
     nod_radps: float
     turn_radps: float
@@ -59,7 +63,11 @@ def name(shock: Shock, limits: NamingThresholds) -> NoAccident:
     if shock.stood:
         if shock.towed:
             return NoAccident.TOWING
-        return NoAccident.BOX_KNOCKED if rate > limits.knock_radps else NoAccident.DOOR_SLAM
+        if rate > limits.knock_radps:
+            return NoAccident.BOX_KNOCKED
+        return NoAccident.TRAILER_COUPLING if _pushed_along(shock, limits) else NoAccident.DOOR_SLAM
+    if _is_train(shock, limits):
+        return NoAccident.VIBRATION_TRAIN
     if rate > limits.loose_radps and shock.heave_s < limits.knock_s:
         return NoAccident.BOX_KNOCKED
     if shock.vertical_mps2 < limits.level_share * shock.horizontal_mps2:
@@ -71,16 +79,42 @@ def name(shock: Shock, limits: NamingThresholds) -> NoAccident:
 
 def _road(shock: Shock, limits: NamingThresholds) -> NoAccident:
     """What a road does to a car that drives over it."""
+    if _is_crossing(shock, limits):
+        return NoAccident.RAILWAY_CROSSING
     if shock.shocks >= limits.train_shocks or shock.rough_mps2 > limits.rough_mps2:
         return NoAccident.VIBRATION_TRAIN
-    if shock.shocks >= limits.crossing_shocks:
-        return NoAccident.RAILWAY_CROSSING
     if shock.speed_mps < limits.kerb_mps and shock.sway_radps > limits.kerb_radps:
         return NoAccident.KERB
     nods = shock.nod_radps >= shock.sway_radps
     if shock.heave_s >= limits.bump_s and nods and shock.speed_mps < limits.bump_mps:
         return NoAccident.SPEED_BUMP
     return NoAccident.POTHOLE
+
+
+def _pushed_along(shock: Shock, limits: NamingThresholds) -> bool:
+    """Whether a standing car was pushed along and pitched, as by a trailer: doors roll it, boots strike downwards."""
+    level = shock.vertical_mps2 < limits.level_share * shock.horizontal_mps2
+    return level and shock.nod_radps > max(limits.pushed_radps, shock.sway_radps)
+
+
+def _is_train(shock: Shock, limits: NamingThresholds) -> bool:
+    """Whether a rough road shook on and on, one side unlike the other."""
+    goes_on = shock.shaken_s > limits.train_s and shock.shaken_s * shock.speed_mps > limits.train_m
+    uneven = shock.sway_radps > shock.nod_radps and shock.vertical_mps2 > limits.level_share * shock.horizontal_mps2
+    return goes_on and uneven and shock.rough_mps2 > limits.train_mps2
+
+
+def _is_crossing(shock: Shock, limits: NamingThresholds) -> bool:
+    """Whether rails were crossed: both wheels of an axle at once, and each axle over two rails or four.
+
+    Told by its blows where they are apart; else by how far it shakes, faster than humps are taken.
+    """
+    if shock.sway_radps > limits.even_share * shock.nod_radps:
+        return False
+    way_m = shock.shaken_s * shock.speed_mps
+    far = limits.crossing_m < way_m < limits.crossing_most_m and shock.crest < limits.crossing_crest
+    apart = limits.crossing_shocks <= shock.shocks < limits.train_shocks
+    return apart or (far and shock.speed_mps >= limits.bump_mps)
 
 
 def manoeuvre(forward_mps2: float, right_mps2: float, limits: NamingThresholds) -> NoAccident:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+import numpy as np
 from numba import njit
 
 from core.accident.level import (
@@ -75,6 +76,12 @@ SHAKEN: Final = 0.04
 that fails does not, but for what tilt lays into the vertical. A choice, after NHTSA test 10146 (0.07 and more)."""
 
 
+PLATEAU_NS: Final = 25_000_000
+"""Over what a falling flank is told from what brakes and tyres do, ns: twice that holds three samples at 50 Hz."""
+ANY: Final = (0.0, 0.0, 1 << 60)
+"""Nothing was told of a pulse yet."""
+
+
 @njit(cache=True, nogil=True)
 def _along(x: FloatArray, row: int, ux: float, uy: float) -> float:
     """Acceleration along a horizontal direction of the level frame, times the length of (ux, uy), m/s2."""
@@ -111,19 +118,29 @@ def beyond(
 
 @njit(cache=True, nogil=True)
 def core_rows(
-    t_ns: TimeArray, x: FloatArray, start: int, end: int, rest_s: float, reach: tuple[float, float, float]
+    t_ns: TimeArray,
+    x: FloatArray,
+    start: int,
+    end: int,
+    rest_s: float,
+    reach: tuple[float, float, float],
+    told: tuple[float, float, int],
 ) -> tuple[int, int, float]:
-    """The two rows of ``start`` to ``end`` between which the velocity changed most beyond reach, and by how much."""
+    """The two rows of ``start`` to ``end`` between which the velocity changed most beyond reach, and by how much.
+
+    What was told of it already is a direction, in the level frame, that it is not against, and by when it had begun.
+    """
     tyre, standing, jerk = reach
+    ux, uy, begun = told
     first, last, most = start, start, -math.inf
-    for i in range(start, end):
+    for i in range(start, min(end, begun)):
         stood = x[i, REST_S] >= rest_s
         for j in range(i + 1, end + 1):
             w = (t_ns[j] - t_ns[i]) * 1e-9
             vx, vy = x[j, V_X] - x[i, V_X], x[j, V_Y] - x[i, V_Y]
             own = unexplained(vx, vy, x[i, SLOW_X] * w, x[i, SLOW_Y] * w)
             value = beyond(math.hypot(vx, vy), own, w, stood, tyre, standing, jerk)
-            if value > most:
+            if value > most and vx * ux + vy * uy >= 0.0:
                 first, last, most = i, j, value
     return first, last, most
 
@@ -140,11 +157,13 @@ def widened(
     onset_s: float,
     tail_s: float,
     after_ns: int,
+    plateau_mps2: float,
 ) -> tuple[int, int, int]:
     """The rows of a pulse around its core, by the acceleration along its direction: since and while it exceeds what
     there was before by ``onset_mps2``, by at most ``onset_s`` on either side and up to the first of ``ends``; and,
     third, until it has fallen to half of that above what there is afterwards, in the last ``after_ns`` up to the second
-    of ``ends``, by at most ``tail_s``: brakes and tyres go on where the pulse does not."""
+    of ``ends``, by at most ``tail_s``, and up to where it falls by less than ``plateau_mps2`` from one 25 ms to the
+    next: brakes and tyres go on where the pulse does not."""
     since = (t_ns[last] - t_ns[first]) * 1e-9
     slow_x, slow_y = x[first, SLOW_X], x[first, SLOW_Y]
     ux, uy = x[last, V_X] - x[first, V_X] - slow_x * since, x[last, V_Y] - x[first, V_Y] - slow_y * since
@@ -175,9 +194,27 @@ def widened(
         over < ends[1]
         and (t_ns[over + 1] - t_ns[last]) * 1e-9 <= tail_s
         and _along(x, over, ux, uy) - after > 0.5 * onset_mps2
+        and (over < stop or _falls(t_ns, x, over, ends[1], ux, uy) >= plateau_mps2)
     ):
         over += 1
     return begin, stop, over
+
+
+@njit(cache=True, nogil=True)
+def _falls(t_ns: TimeArray, x: FloatArray, row: int, end: int, ux: float, uy: float) -> float:
+    """By how much the mean acceleration along a direction falls from one ``PLATEAU_NS`` from a row on to the next,
+    m/s2; endlessly where that is not known yet."""
+    if t_ns[end] - t_ns[row] < 2 * PLATEAU_NS:
+        return math.inf
+    means = [0.0, 0.0]
+    counts = [0, 0]
+    k = row
+    while k <= end and t_ns[k] - t_ns[row] <= 2 * PLATEAU_NS:
+        late = 1 if t_ns[k] - t_ns[row] > PLATEAU_NS else 0
+        means[late] += _along(x, k, ux, uy)
+        counts[late] += 1
+        k += 1
+    return means[0] / counts[0] - means[1] / counts[1] if counts[1] > 0 else math.inf
 
 
 @njit(cache=True, nogil=True)
@@ -301,6 +338,15 @@ def hangs(x: FloatArray, first: int, last: int) -> bool:
     return x[last, CLIP_S] > 0.0 and 2 * held >= clipped
 
 
+def spin_from(x: FloatArray, start: int, first: int, spin_radps: float) -> int | None:
+    """Where rows from ``start`` on are of a car that spins as row ``first`` begins, the row by which a blow had turned
+    it so fast; None where it does not."""
+    if abs(x[first, YAW_RATE]) < spin_radps or first <= start:
+        return None
+    fastest = start + int(np.argmax(np.abs(x[start : first + 1, YAW_RATE])))
+    return fastest if fastest > start else None
+
+
 def read_pulse(
     t_ns: TimeArray,
     x: FloatArray,
@@ -309,14 +355,16 @@ def read_pulse(
     ends: tuple[int, int],
     trigger: TriggerThresholds,
     limits: PulseThresholds,
+    told: tuple[float, float, int] = ANY,
 ) -> Pulse:
     """A suspected pulse from row ``start``, turned into forward and right at its start. What speaks for and against it
-    is looked for up to the first of ``ends``, its end up to the second."""
+    is looked for up to the first of ``ends``, its end up to the second. Of ``told`` see ``core_rows``: what follows a
+    blow, as a spin, may change the velocity by more than was read of it."""
     reach = (trigger.tyre_mps2, trigger.standing_mps2, trigger.jerk_mps3)
-    core_first, core_last, most = core_rows(t_ns, x, start, ends[0], trigger.rest_s, reach)
+    core_first, core_last, most = core_rows(t_ns, x, start, ends[0], trigger.rest_s, reach, told)
     first, last, over = widened(
         t_ns, x, flags, core_first, core_last, ends, limits.onset_mps2, limits.onset_s, limits.tail_s,
-        round(trigger.settled_s * 1e9),
+        round(trigger.settled_s * 1e9), limits.plateau_mps2,
     )  # fmt: skip
     stood = bool(x[core_first, REST_S] >= trigger.rest_s)
     dvx, dvy, swing, kept, peak, clipped_s, abrupt, rate, jolt, tip, levelled = measure(

@@ -34,6 +34,9 @@ from core.measurements import FloatArray, TimeArray
 AROUND_NS = 150_000_000
 """What before the first and after the last shock belongs to it, ns: a wheel's way back. A choice."""
 
+SHAKING_NS = 450_000_000
+"""How far around a shock its shaking is looked at, ns: a car at 50 km/h takes both axles over two tracks. A choice."""
+
 
 def read_shock(
     t_ns: TimeArray,
@@ -53,6 +56,7 @@ def read_shock(
     gaps = np.flatnonzero(flags[first:end] & GAP)
     if len(gaps):  # nothing is known across
         first += int(gaps[-1]) if first + int(gaps[-1]) < end - 1 else 0
+    shaken_s, crest = _shaking(t_ns, x, flags, start_ns, last_ns)
     x = x[first:end]
     vertical, horizontal = np.abs(x[:, A_Z]), np.hypot(x[:, A_X], x[:, A_Y])
     largest = np.maximum(vertical, horizontal)
@@ -69,6 +73,8 @@ def read_shock(
         abrupt=_abruptness(largest),
         clipping_s=float(np.max(x[:, CLIP_S])),
         heave_s=heave_s,
+        shaken_s=shaken_s,
+        crest=crest,
         sway_radps=float(np.max(np.abs(x[:, ROLL_RATE]))),
         nod_radps=float(np.max(np.abs(x[:, PITCH_RATE]))),
         turn_radps=float(np.max(np.abs(x[:, YAW_RATE]))),
@@ -83,6 +89,18 @@ def read_shock(
     )
     change = float(np.max(np.hypot(x[:, V_X] - x[0, V_X], x[:, V_Y] - x[0, V_Y])))
     return shock, float(np.ptp(x[:, V_Z])), change, (last_ns - start_ns) * 1e-9
+
+
+def _shaking(t_ns: TimeArray, x: FloatArray, flags: Flags, start_ns: int, last_ns: int) -> tuple[float, float]:
+    """For how long the vertical shakes by more than a third of its peak (s), and that peak over the rms."""
+    first, end = (int(row) for row in np.searchsorted(t_ns, [start_ns - SHAKING_NS, last_ns + SHAKING_NS + 1]))
+    gaps = np.flatnonzero(flags[first:end] & GAP)
+    if len(gaps):
+        first = min(first + int(gaps[-1]), end - 1)
+    z = np.abs(x[first:end, A_Z])
+    peak = max(float(np.max(z)), 1e-9)
+    loud = first + np.flatnonzero(z >= peak / 3.0)
+    return float(t_ns[loud[-1]] - t_ns[loud[0]]) * 1e-9, peak / max(math.sqrt(float(np.mean(z * z))), 1e-9)
 
 
 def _abruptness(felt: FloatArray) -> float:

@@ -177,6 +177,9 @@ class TriggerThresholds(Tunables):
         3.0, unit="m/s2", low=0.5, high=6.0, source="choice: a falling box feels nothing, a car over a crest over 5"
     )
     fall_s: float = tunable(0.08, unit="s", low=0.02, high=0.5, source="choice: a fall of 3 cm")
+    fell_before_s: float = tunable(
+        0.6, unit="s", low=0.1, high=2.0, source="choice: a shock so soon after ends a fall, of up to a metre"
+    )
     lean_parked_s: float = tunable(
         60.0, unit="s", low=5.0, high=3600.0, source="choice: whoever loads a vehicle first lets it stand"
     )
@@ -202,6 +205,9 @@ class PulseThresholds(Tunables):
     tail_s: float = tunable(
         0.15, unit="s", low=0.0, high=0.5, source="choice: the falling flank of a pulse of 0.35 s within tyres' reach"
     )
+    plateau_mps2: float = tunable(
+        0.5, unit="m/s2", low=0.0, high=10.0, source="choice: what falls by less within 25 ms is no flank but brakes"
+    )
     friction_mps2: float = tunable(
         8.0, unit="m/s2", low=2.0, high=12.0, source="choice, 0.8 g: braked wheels take back what pushed a standing car"
     )
@@ -224,6 +230,16 @@ class PulseThresholds(Tunables):
     yaw_sd_rad: float = tunable(
         0.05, unit="rad", low=0.001, high=0.5, source="choice, 3 deg: yaw of the box in the vehicle"
     )
+    spin_radps: float = tunable(
+        1.5, unit="rad/s", low=0.3, high=10.0, source="choice, 86 deg/s: faster than a car is steered around a corner"
+    )
+    arm_m: float = tunable(
+        1.3,
+        unit="m",
+        low=0.0,
+        high=5.0,
+        source="choice: a box behind the windscreen from what a spinning car turns about",
+    )
     noise_sd_mps: float = tunable(
         0.1, unit="m/s", low=0.001, high=2.0, source="choice: road and body vibration on an integrated pulse"
     )
@@ -238,6 +254,9 @@ class JudgementThresholds(Tunables):
     )
     tell_early: float = tunable(
         0.85, unit="1", low=0.5, high=0.999, source="choice: what is not over yet is told only where it is plain"
+    )
+    tell_late: float = tunable(
+        0.7, unit="1", low=0.5, high=0.999, source="choice: the same at the last looks, as 150 ms are nearly over"
     )
     retract: float = tunable(
         0.3, unit="1", low=0.0, high=0.9, source="choice: below tell, so that what is told does not flicker"
@@ -328,7 +347,7 @@ class JudgementThresholds(Tunables):
         2.0, unit="1", low=0.0, high=5.0, source="choice: of the speed's own error, one case in 40"
     )
     crawl_aside: float = tunable(
-        0.6, unit="1", low=0.0, high=1.0, source="choice: a kerb stone stops a car along its way, within 37 deg"
+        0.75, unit="1", low=0.0, high=1.0, source="choice: a kerb stone stops a car along its way, within 49 deg"
     )
     speed_sd_mps: float = tunable(
         0.1, unit="m/s", low=0.0, high=2.0, source="measured (bench --accidents --part errors): RMS 0.07 m/s"
@@ -357,7 +376,47 @@ class JudgementThresholds(Tunables):
     rolled_on: float = tunable(
         4.0, unit="1", low=0.0, high=20.0, source="choice: who rolls over comes to rest within ten seconds or so"
     )
+    airbag: float = tunable(
+        2.0,
+        unit="1",
+        low=0.0,
+        high=20.0,
+        source="choice: most flags of an airbag are right, though nothing was felt; a bus errs at times",
+    )
     flagged: float = tunable(6.0, unit="1", low=0.0, high=20.0, source="choice: an airbag that fired, or power lost")
+
+
+@dataclass(frozen=True, slots=True)
+class RolloverThresholds(Tunables):
+    """What lies on its side: a vehicle that rolled over, or a box that came off. Odds are log-odds of an accident."""
+
+    odds: float = tunable(
+        2.0, unit="1", low=-20.0, high=20.0, source="choice: a vehicle that lies on its side after it moved"
+    )
+    loose_odds: float = tunable(
+        -4.0,
+        unit="1",
+        low=-20.0,
+        high=20.0,
+        source="choice: where it had stood, or the box fell or spun as no car does",
+    )
+    fell_before_s: float = tunable(
+        1.5, unit="s", low=0.1, high=5.0, source="choice: a box that fell tumbles on before it lies"
+    )
+    tumbles_radps: float = tunable(
+        2.0,
+        unit="rad/s",
+        low=0.2,
+        high=10.0,
+        source="choice, 115 deg/s: cars roll over about their long axis; what turns so fast rather across it is a box",
+    )
+    tipped_s: float = tunable(
+        1.5,
+        unit="s",
+        low=0.2,
+        high=5.0,
+        source="choice: from half of tilt_deg to it at 20 deg/s, slower than any rollover",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -414,6 +473,15 @@ class AftermathThresholds(Tunables):
     rolling_mps: float = tunable(
         2.0, unit="m/s", low=0.5, high=10.0, source="choice: slower, a car may as well be pushed backwards"
     )
+    sliding_s: float = tunable(
+        1.0, unit="s", low=0.1, high=5.0, source="choice: tyres at 0.7 g take back a side-slip of 7 m/s"
+    )
+    sliding_radps: float = tunable(
+        0.35, unit="rad/s", low=0.05, high=3.0, source="choice, 20 deg/s: who turns faster after a blow spins"
+    )
+    recovery_s: float = tunable(
+        1.0, unit="s", low=0.1, high=30.0, source="choice: fixes a second apart take back what clipping hid"
+    )
     outside_mps2: float = tunable(
         20.0, unit="m/s2", low=1.0, high=500.0, source="choice: 2 g, where boxes clip that do"
     )
@@ -465,6 +533,28 @@ class NamingThresholds(Tunables):
     crossing_shocks: int = tunable(
         3, unit="1", low=2, high=10, source="choice: a pothole or bump makes two, one an axle"
     )
+    train_s: float = tunable(
+        0.45, unit="s", low=0.1, high=2.0, source="choice: longer than a hole shakes a car at speed"
+    )
+    train_m: float = tunable(8.0, unit="m", low=1.0, high=100.0, source="choice: two lengths of a car")
+    train_mps2: float = tunable(
+        1.9, unit="m/s2", low=0.5, high=20.0, source="choice: rms before, on a road that shakes on: ISO 8608 class D"
+    )
+    crossing_m: float = tunable(
+        4.0, unit="m", low=1.0, high=20.0, source="two axles, 2.6 m apart, over a track of 1.435 m"
+    )
+    crossing_most_m: float = tunable(
+        20.0, unit="m", low=4.0, high=100.0, source="choice: two tracks, two axles, and the springs' way to rest"
+    )
+    crossing_crest: float = tunable(
+        3.4, unit="1", low=1.0, high=10.0, source="choice: 4 to 8 blows; one hole stands out of its second by 4 to 7"
+    )
+    even_share: float = tunable(
+        0.25, unit="1", low=0.0, high=2.0, source="choice: what both wheels of an axle meet at once hardly rolls a car"
+    )
+    pushed_radps: float = tunable(
+        0.03, unit="rad/s", low=0.0, high=1.0, source="choice, 2 deg/s: a car pitches by it when pushed"
+    )
     kerb_mps: float = tunable(8.0, unit="m/s", low=1.0, high=15.0, source="choice: kerbs are mounted slowly")
     kerb_radps: float = tunable(0.35, unit="rad/s", low=0.05, high=3.0, source="choice: one side is lifted at a time")
     bump_s: float = tunable(
@@ -483,6 +573,7 @@ class DetectorThresholds(Tunables):
     trigger: TriggerThresholds = TriggerThresholds()
     pulse: PulseThresholds = PulseThresholds()
     judgement: JudgementThresholds = JudgementThresholds()
+    rollover: RolloverThresholds = RolloverThresholds()
     aftermath: AftermathThresholds = AftermathThresholds()
     naming: NamingThresholds = NamingThresholds()
     level: LevelThresholds = LevelThresholds()

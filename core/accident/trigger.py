@@ -82,6 +82,8 @@ SHAKEN_NS: Final = 2_500_000_000
 """How long an accident's own shaking lasts in the mean of a second, ns; what shakes later is the ground. A choice."""
 TOLD: Final = 99
 """In place of the looks where one of them told it."""
+LATE: Final = 3
+"""The first of the last looks, 109 ms from a pulse's start. A choice."""
 LOOKS: Final = 5
 LOOK_NS: Final = 12_000_000
 """How often a pulse that goes on is looked at before it is over, and how far apart, ns: up to 133 ms from its start.
@@ -116,6 +118,11 @@ def levels(trigger: TriggerThresholds) -> FloatArray:
             math.cos(math.radians(trigger.lean_deg)), math.cos(math.radians(0.5 * trigger.lean_deg)),
         ]
     )  # fmt: skip
+
+
+def fell(registers: TimeArray, t_ns: int, within_s: float) -> bool:
+    """Whether what is looked at has fallen freely within a span before a time."""
+    return t_ns - int(registers[FELL]) < round(within_s * 1e9)
 
 
 @njit(cache=True, nogil=True)

@@ -49,9 +49,9 @@ NAMES: Final[Mapping[NonAccident, frozenset[NoAccident]]] = {
     NonAccident.SENSOR_GLITCH: frozenset({NoAccident.SENSOR_GLITCH}),
     NonAccident.FERRY: frozenset({NoAccident.FERRY}),
     NonAccident.CAR_WASH: frozenset({NoAccident.VIBRATION_TRAIN}),
-    NonAccident.TRAILER_COUPLING: frozenset({NoAccident.UNEXPLAINED, NoAccident.KERB}),
+    NonAccident.TRAILER_COUPLING: frozenset({NoAccident.TRAILER_COUPLING}),
 }
-"""The detector's names that are right for what is simulated; a coupling has none of its own."""
+"""The detector's names that are right for what is simulated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ def accident_record(
         last = story.last
         low, high = last.delta_v_interval_mps
         record |= {
-            "delay_s": (story.first.decided_t_ns - t_ns) * 1e-9,
+            "delay_s": (story.first.decided_t_ns - t_ns) / 1e9,  # so that 150 ms are 0.15 s to the bit
             "start_error_s": (story.first.t_ns - t_ns) * 1e-9,
             "clipped": last.clipped,
             "delta_v_error_mps": last.delta_v_mps - truth.delta_v_mps,

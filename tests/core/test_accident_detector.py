@@ -15,6 +15,8 @@ from core.accident.severity import classify, force_direction_deg
 from core.accident.thresholds import SeverityThresholds, TriggerThresholds
 from core.errors import InvalidInputError
 from core.measurements import FLAG_AIRBAG
+from core.simulation.corpus import accident_case, quiet_case
+from core.simulation.disturbances import NonAccident as Happening
 
 G = 9.80665
 EPOCH_NS = 1_700_000_000_000_000_000
@@ -490,6 +492,58 @@ def test_an_accident_that_goes_on_after_a_checkpoint_is_refined_all_the_same():
     second = ImpactDetector()
     second.load(first.state())
     assert found + second.step(take(motion, after)).impacts == expected
+
+
+def worst_of(case):
+    """The one accident told of a case: its last revision, and by how much its direction is off, deg."""
+    (revisions,) = told(case.motion)
+    return revisions[-1], abs(math.remainder(revisions[-1].pdof_deg - case.truth.pdof_deg, 360.0))
+
+
+@pytest.mark.parametrize(("name", "seed"), [("multi_impact", 1052), ("multi_impact", 1057), ("multi_impact", 1066)])
+def test_which_of_several_clipped_impacts_was_the_worst_is_told_once_the_car_has_come_to_rest(name, seed):
+    case = accident_case(name, seed, full_scale_g=2.0)
+    last, off_deg = worst_of(case)
+    assert last.clipped
+    assert off_deg < 15.0  # issue 5
+    assert last.delta_v_interval_mps[0] <= case.truth.delta_v_mps <= last.delta_v_interval_mps[1]
+
+
+def test_an_accident_of_several_clipped_impacts_goes_on_after_a_checkpoint_to_the_bit():
+    motion = accident_case("multi_impact", 1066, full_scale_g=2.0).motion
+    whole = ImpactDetector().step(motion).impacts
+    assert whole[-1].impacts == 3
+    begin = int(np.searchsorted(motion.t_ns, whole[-1].t_ns))
+    for after_s in (0.1, 0.5, 1.5, 5.0):
+        cut = begin + round(after_s * 200.0)
+        first, second = ImpactDetector(), ImpactDetector()
+        found = first.step(take(motion, np.arange(cut))).impacts
+        second.load(first.state())
+        assert found + second.step(take(motion, np.arange(cut, len(motion.t_ns)))).impacts == whole
+
+
+@pytest.mark.parametrize(("seed", "full_scale_g"), [(31, 2.0), (1008, 16.0), (1068, 100.0)])
+def test_a_spin_after_a_blow_is_not_told_in_its_place(seed, full_scale_g):
+    last, off_deg = worst_of(accident_case("spin", seed, full_scale_g=full_scale_g, rate_hz=100.0))
+    assert off_deg < 15.0  # issue 5
+    assert last.impacts == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed", "name"),
+    [
+        (Happening.RAILWAY_CROSSING, 1034, NoAccident.RAILWAY_CROSSING),
+        (Happening.RAILWAY_CROSSING, 1353, NoAccident.RAILWAY_CROSSING),
+        (Happening.POTHOLE, 1042, NoAccident.POTHOLE),
+        (Happening.VIBRATION, 1123, NoAccident.VIBRATION_TRAIN),
+        (Happening.KERB, 1036, NoAccident.KERB),
+        (Happening.TRAILER_COUPLING, 1002, NoAccident.TRAILER_COUPLING),
+        (Happening.DOOR_SLAM, 1008, NoAccident.DOOR_SLAM),
+        (Happening.BOOT_SLAM, 1008, NoAccident.DOOR_SLAM),
+    ],
+)
+def test_what_shakes_a_car_has_the_name_of_how_it_shakes(kind, seed, name):
+    assert set(named(quiet_case(kind, seed).motion)) == {name}
 
 
 def test_a_box_that_lay_half_way_and_creeps_over_the_limit_is_no_rollover():

@@ -11,7 +11,7 @@ from core.earth import radii_m
 from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation import state
 from core.navigation.alignment import SECOND_NS, Aligner, InitialState
-from core.navigation.gnss_aiding import slow_share
+from core.navigation.fix_error import slow_share
 from core.navigation.mechanization import normalised, renew_mounting, start_frame
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.navigation.tuning import Tuning

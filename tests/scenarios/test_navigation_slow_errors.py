@@ -18,7 +18,7 @@ from core.rotation import wrap_angle_rad
 from core.session import Session
 from core.simulation.gnss import Receiver, measure_gnss
 from core.simulation.scenarios import simulate
-from service.recordings.fusing import fuse_config, vehicle_config
+from service.recordings.fusing import fuse, fuse_config, vehicle_config
 from service.recordings.simulated import drive_of
 
 S = 10**9
@@ -178,6 +178,19 @@ def test_a_receiver_that_drifts_quickly_is_not_taken_for_a_better_one(seed):
     drive = Driven("outages", seed, 300.0, change=received(QUICK, seed))
     assert moving_share(drive) > 0.5
     assert (drive.inside_three_sd() >= 0.99).all()
+
+
+def test_after_the_drive_an_offset_that_no_fix_shows_stays_in_the_spread():
+    drive = drive_of(simulate("outages", 2, 300.0, 100.0))
+    drive = replace(drive, measurements=received(HIDING, 2)(drive.measurements, drive.start_t_ns))
+    track, reference = fuse(drive, fuse_config(vehicle_config(drive), every_s=0.1), smooth=True).track, drive.reference
+    late = (track.column("mode") != Mode.ALIGNING) & (drive.t_s(track.t_ns) > LEARNT_S)
+    rows, t_ns = track.values[late], track.t_ns[late]
+    origin = tuple(float(series[0]) for series in (reference.lat_rad, reference.lon_rad, reference.alt_m))
+    true = [np.interp(t_ns, reference.t_ns, s) for s in (reference.lat_rad, reference.lon_rad, reference.alt_m)]
+    error_n = ned_offset_m(*rows[:, :3].T, origin) - ned_offset_m(*true, origin)
+    sd_n = rows[:, TRACK["sd_n_m"] : TRACK["sd_n_m"] + 2]
+    assert (np.abs(error_n[:, :2]) <= 3.0 * sd_n).mean(axis=0).min() >= 0.99
 
 
 def test_what_was_learnt_of_the_drift_does_not_outlive_reflections():

@@ -150,7 +150,7 @@ def received(receiver, seed, ramp_at_s=None):
 
 
 FINE = Receiver(drift_sd_m=0.3, white_sd_m=0.05)
-HIDING = Receiver(drift_sd_m=1.2, drift_s=600.0, white_sd_m=0.1)
+HIDING = Receiver(drift_sd_m=2.0, drift_s=600.0, white_sd_m=0.1)
 """Off by as much as is assumed of a receiver that states nothing, and for so long that no fix shows it."""
 QUICK = Receiver(drift_sd_m=2.0, drift_s=30.0, white_sd_m=0.3)
 
@@ -181,8 +181,9 @@ def test_a_receiver_that_drifts_quickly_is_not_taken_for_a_better_one(seed):
 
 
 def test_after_the_drive_an_offset_that_no_fix_shows_stays_in_the_spread():
-    drive = drive_of(simulate("outages", 2, 300.0, 100.0))
-    drive = replace(drive, measurements=received(HIDING, 2)(drive.measurements, drive.start_t_ns))
+    # Of seeds 1 to 4 the one whose offset is largest, 3.5 m.
+    drive = drive_of(simulate("outages", 4, 300.0, 100.0))
+    drive = replace(drive, measurements=received(HIDING, 4)(drive.measurements, drive.start_t_ns))
     track, reference = fuse(drive, fuse_config(vehicle_config(drive), every_s=0.1), smooth=True).track, drive.reference
     late = (track.column("mode") != Mode.ALIGNING) & (drive.t_s(track.t_ns) > LEARNT_S)
     rows, t_ns = track.values[late], track.t_ns[late]

@@ -41,7 +41,8 @@ def felt(
     sd = math.hypot(limits.pulse.scale_sd * delta_v, across_sd)
     interval = (max(delta_v - 1.96 * sd, 0.0), delta_v + 1.96 * sd)
     whole, hidden_rad = None, 0.0
-    if pulse.clipped_s > 0.0:
+    # What clipped may lie behind where the pulse has ended, in a burst of garbage: then nothing of it is hidden.
+    if pulse.clipped_s > 0.0 and (level.flags[pulse.first : pulse.last + 1] & CLIPPED).any():
         whole = unclip(t_ns, x, level.flags, pulse.first, pulse.last)
         delta_v, duration_s, hidden_rad = whole.delta_v_mps, whole.duration_s, whole.direction_sd_rad
         low, high = whole.low_mps - delta_v, whole.high_mps - delta_v

@@ -31,6 +31,7 @@ from core.navigation.state import (
     X_GNSS_DELAY,
     X_GNSS_ERROR,
     X_GYRO_SCALE,
+    X_MOVED,
     X_Q,
     X_SCALE,
     X_V,
@@ -51,6 +52,8 @@ def correct(x: FloatArray, dx: FloatArray) -> None:
     x[X_DR] += dx[POS]
     x[X_DR + 1] += dx[POS + 1]
     x[X_DR + 2] += dx[POS + 2]
+    x[X_MOVED] += dx[POS]
+    x[X_MOVED + 1] += dx[POS + 1]
     for i in range(3):
         x[X_V + i] += dx[VEL + i]
         x[X_BG + i] += dx[GYRO_BIAS + i]

@@ -1,9 +1,6 @@
 """GNSS position and velocity: how far they are trusted, fused, refused, and believed against the filter in the end.
 
-A fix errs in two ways: a white part, new with every fix, and one that hangs together over a minute (multipath,
-ionosphere, the receiver's own smoothing). What the receiver states is taken as the whole; how much of it is white
-is learnt from the innovations, and the rest is a state of the filter (first-order Gauss-Markov; Groves 2013,
-sec. 14.2.6), so that many fixes do not promise more than they can hold.
+How fixes err, in a white and a slow part, is learnt in ``fix_error``.
 
 Innovations are z - h(x). A refused aid changes nothing but counters (and, for positions, the memory from
 which a run of refused fixes that agree with each other is recognised as the truth: recovery; a refused height
@@ -18,6 +15,7 @@ from core.compiled import compiled
 from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation.admission import position_sd_m
 from core.navigation.correction import Work, correct, count, record
+from core.navigation.fix_error import decay, learn_drift, learn_share, moving_share, slow_share
 from core.navigation.kalman import along_six, decorrelate, project_six, update, update_pair
 from core.navigation.mechanization import fold_position, matrix_of
 from core.navigation.state import (
@@ -42,7 +40,7 @@ from core.navigation.state import (
     REJECTED_RANGE,
     REJECTED_TIME,
     RESET,
-    T_DECAY,
+    T_ANCHOR,
     T_GNSS,
     T_NOW,
     T_REFUSED,
@@ -50,8 +48,6 @@ from core.navigation.state import (
     VEL,
     X_ALT,
     X_BG,
-    X_DECAY,
-    X_DECAY_VAR,
     X_DR,
     X_FIX,
     X_G,
@@ -61,13 +57,13 @@ from core.navigation.state import (
     X_LON,
     X_M_PER_RAD,
     X_MEAN_NU,
+    X_MOVING,
     X_Q,
     X_REJECTED_N,
     X_RING,
-    X_SLOW_VAR,
+    X_UNSEEN,
     X_V,
     X_W,
-    X_WHITE_FIXES,
     X_WHITE_SHARE,
 )
 from core.navigation.tuning import PARAMETER
@@ -80,9 +76,6 @@ _SD_VEL = GNSS["sd_v_mps"]
 _P_SD_VEL = PARAMETER["gnss_sd_v_mps"]
 _P_FLOOR_V = PARAMETER["gnss_sd_v_floor_mps"]
 _P_AGE = PARAMETER["gnss_max_age_s"]
-_P_CORRELATION = PARAMETER["gnss_correlation_s"]
-_P_LEARN = PARAMETER["gnss_learn_fixes"]
-_P_MARGIN = PARAMETER["gnss_share_margin"]
 _P_WHITE_FLOOR = PARAMETER["gnss_white_floor"]
 _P_GATE_POS = PARAMETER["gate_position"]
 _P_GATE_VEL = PARAMETER["gate_velocity"]
@@ -104,48 +97,13 @@ FADING = 0.3
 SLOW_LIMIT = 9.0
 """Times the stated variance that a height's slow error may have: reflections between houses are three times worse."""
 
-WILD_RATIO = 9.0
-"""An innovation this many times its variance says nothing of the white part: it is an outlier."""
-
-
-@compiled()
-def slow_share(x: FloatArray, par: FloatArray) -> float:
-    """Share of a fix's stated variance that hangs together in time."""
-    return float(max(0.0, 1.0 - x[X_WHITE_SHARE] - par[_P_MARGIN]))
-
-
-@compiled()
-def _decay(x: FloatArray, ti: TimeArray, p: FloatArray, n: int, slow_h: float, slow_v: float, par: FloatArray) -> None:
-    """Carry the slowly varying error of the fixes up to now, towards the variances ``slow_h``, ``slow_v``.
-
-    Nothing else depends on these states over time, so it is enough to do this when a fix comes.
-    """
-    dt = (ti[T_NOW] - ti[T_DECAY]) * 1e-9
-    ti[T_DECAY] = ti[T_NOW]
-    beta = math.exp(-dt / par[_P_CORRELATION])
-    forgotten = 1.0 - beta * beta
-    # Where the receiver has become worse, its slow error may have as well, at once.
-    added_h = slow_h * forgotten + max(0.0, slow_h - x[X_SLOW_VAR])
-    added_v = slow_v * forgotten + max(0.0, slow_v - x[X_SLOW_VAR + 1])
-    x[X_SLOW_VAR], x[X_SLOW_VAR + 1] = slow_h, slow_v
-    for i in range(GNSS_ERROR, GNSS_ERROR + 3):
-        for j in range(n):
-            p[i * n + j] *= beta
-        for j in range(n):
-            p[j * n + i] *= beta
-        x[X_GNSS_ERROR + i - GNSS_ERROR] *= beta
-        added = added_v if i == GNSS_ERROR + 2 else added_h
-        p[i * n + i] += added
-        x[X_DECAY_VAR + i - GNSS_ERROR] += added
-    x[X_DECAY] *= beta
-
 
 @compiled()
 def _reset_position(
     x: FloatArray, ti: TimeArray, p: FloatArray, n: int, nu: tuple[float, float], sd_h: float, par: FloatArray
 ) -> None:
     """Take the position from the fixes that agree against us; open velocity and heading for what follows."""
-    slow = slow_share(x, par) * sd_h * sd_h
+    slow = x[X_MOVING] * slow_share(x, par) * sd_h * sd_h
     for i in range(2):
         at, error = POS + i, GNSS_ERROR + i
         x[X_DR + i] += nu[i] + x[X_GNSS_ERROR + i]
@@ -155,7 +113,7 @@ def _reset_position(
             p[j * n + at] = 0.0
             p[error * n + j] = 0.0
             p[j * n + error] = 0.0
-        p[at * n + at] = sd_h * sd_h
+        p[at * n + at] = sd_h * sd_h - x[X_UNSEEN]
         p[error * n + error] = slow
         p[at * n + error] = -slow
         p[error * n + at] = -slow
@@ -181,19 +139,6 @@ def _widen(x: FloatArray, p: FloatArray, n: int, nu: tuple[float, float], s: tup
     for i in range(2):
         p[(POS + i) * n + POS + i] += x[X_MEAN_NU + i] ** 2 * s[i]
         x[X_MEAN_NU + i] = 0.0
-
-
-@compiled()
-def _learn_share(x: FloatArray, nu_sq: float, own: float, stated: float, par: FloatArray) -> None:
-    """Let the white share follow what an innovation's square has beyond the filter's ``own`` variance.
-
-    All of them means of north and east. A filter that knows little itself, as after an outage, has nothing to compare.
-    """
-    if own > stated:
-        return
-    x[X_WHITE_FIXES] = min(x[X_WHITE_FIXES] + 1.0, par[_P_LEARN])
-    share = min((nu_sq - own) / stated, WILD_RATIO)
-    x[X_WHITE_SHARE] = max(0.0, x[X_WHITE_SHARE] + (share - x[X_WHITE_SHARE]) / x[X_WHITE_FIXES])
 
 
 @compiled()
@@ -255,8 +200,9 @@ def fuse_position(
     n, dx, ph, ph2 = work[0], work[1], work[2], work[3]
     sd_h, sd_v = position_sd_m(fix, par)
     stated = sd_h * sd_h
-    slow = slow_share(x, par)
-    _decay(x, ti, p, n, slow * stated, slow * sd_v * sd_v, par)
+    slow, moving = slow_share(x, par), moving_share(x, stated, par)
+    decay(x, ti, p, n, (slow * stated, slow * sd_v * sd_v), moving, par)
+    x[X_UNSEEN], x[X_UNSEEN + 1] = (1.0 - moving) * slow * stated, (1.0 - moving) * slow * sd_v * sd_v
     lag_s = (ti[T_NOW] - t_ns) * 1e-9 + x[X_GNSS_DELAY]
     c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
     ln = c[0] * lever_b[0] + c[1] * lever_b[1] + c[2] * lever_b[2]
@@ -295,7 +241,8 @@ def fuse_position(
         return False
     count(ti, A_POSITION, outcome)
     if fused:
-        _learn_share(x, 0.5 * (nu_n * nu_n + nu_e * nu_e), 0.5 * (own_n + own_e), stated, par)
+        learn_drift(x, ti, t_ns, nu_n + x[X_GNSS_ERROR], nu_e + x[X_GNSS_ERROR + 1], stated, par)
+        learn_share(x, 0.5 * (nu_n * nu_n + nu_e * nu_e), 0.5 * (own_n + own_e), stated, par)
         share = sne / snn
         decorrelate(n, ph, ph2, share)
         update_pair(p, n, ph, 1.0 / snn, nu_n, ph2, 1.0 / (see - share * sne), nu_e - share * nu_n, dx)
@@ -306,6 +253,7 @@ def fuse_position(
         x[X_MEAN_NU], x[X_MEAN_NU + 1] = 0.0, 0.0
         ti[I_RESETS] += 1
         ti[I_BROKEN] = 1
+        ti[T_ANCHOR] = 0
     ti[I_REJECTED] = 0
     ti[I_REFUSED] = 0
     ti[T_GNSS] = ti[T_NOW]

@@ -28,6 +28,7 @@ from core.navigation.state import (
     X_M_PER_RAD,
     X_MOUNT_YAW,
     X_Q,
+    X_UNSEEN,
     X_V,
 )
 
@@ -47,7 +48,8 @@ N_ADDED: Final = 14  # variances that the interval added, N_STATES
 N_DECAY: Final = N_ADDED + N_STATES  # factor on the fixes' slow error
 N_DECAY_VAR: Final = N_DECAY + 1  # variances that were added to it, 3
 N_BROKEN: Final = N_DECAY_VAR + 3  # 1 if the position was reset here
-N_BEFORE: Final = N_BROKEN + 1
+N_UNSEEN: Final = N_BROKEN + 1  # variance of what fixes err by and none shows, horizontal and vertical, 2
+N_BEFORE: Final = N_UNSEEN + 2
 N_AFTER: Final = N_BEFORE + N_NOMINAL
 N_P: Final = N_AFTER + N_NOMINAL  # upper triangle of the covariance, by rows
 NODE_WIDTH: Final = N_P + N_STATES * (N_STATES + 1) // 2
@@ -93,6 +95,7 @@ def close_node(x: FloatArray, ti: TimeArray, p: FloatArray, row: FloatArray) -> 
     for i in range(3):
         row[N_DECAY_VAR + i] = x[X_DECAY_VAR + i]
     row[N_BROKEN] = ti[I_BROKEN]
+    row[N_UNSEEN], row[N_UNSEEN + 1] = x[X_UNSEEN], x[X_UNSEEN + 1]
     _put_nominal(x, row, N_AFTER)
     at = N_P
     for i in range(N_STATES):

@@ -24,6 +24,7 @@ from core.navigation.state import (
     X_M_PER_RAD,
     X_MOUNT_SC,
     X_Q,
+    X_UNSEEN,
     X_V,
 )
 from core.navigation.track import TRACK, Mode
@@ -56,7 +57,8 @@ def put_row(x: FloatArray, ti: TimeArray, p: FloatArray, lever_b: FloatArray, pa
     row[_C_LAT + 2] = x[X_ALT] - dd
     for i in range(3):
         row[_C_VN + i] = x[X_V + i]
-        row[_C_SD_N + i] = math.sqrt(max(p[(POS + i) * n + POS + i], 0.0))
+        unseen = x[X_UNSEEN + 1] if i == 2 else x[X_UNSEEN]
+        row[_C_SD_N + i] = math.sqrt(max(p[(POS + i) * n + POS + i], 0.0) + unseen)
     row[_C_SD_N + 3] = p[POS * n + POS + 1]
     # C_n_from_v = C_n_from_b C_b_from_v with C_b_from_v = Rz(mount yaw) Ry(mount pitch)
     sp, cp, sy, cy = x[X_MOUNT_SC], x[X_MOUNT_SC + 1], x[X_MOUNT_SC + 2], x[X_MOUNT_SC + 3]

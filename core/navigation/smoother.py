@@ -85,7 +85,8 @@ def _smooth_stretch(table: FloatArray, after: FloatArray, before: FloatArray, co
         p, row = _covariance(table[k]), table[k + 1]
         phi, added = _interval(row)
         predicted = phi @ p @ phi.T + np.diag(added)
-        spread = np.sqrt(np.diag(predicted))
+        variance = np.diag(predicted)
+        spread = np.sqrt(np.where(variance > 0.0, variance, 1.0))  # of a state that is known, such as a given delay
         factor = cho_factor(predicted / np.outer(spread, spread) + _RIDGE * np.eye(N_STATES), check_finite=False)
         gain = (cho_solve(factor, (phi @ p) / spread[:, None], check_finite=False) / spread[:, None]).T
         after[k] = gain @ before[k + 1]
@@ -160,6 +161,8 @@ def _solution(
     nominal = table[:, node.N_AFTER : node.N_AFTER + node.N_NOMINAL]
     maps = np.array([_vehicle_map(x, imu_lever_b_m) for x in nominal]).reshape(-1, 9, N_STATES)
     covariance = maps @ errors.covariance @ maps.transpose(0, 2, 1)
+    # Beside the filter's own: what all fixes err by alike moves the whole drive.
+    covariance[:, [0, 1, 2], [0, 1, 2]] += table[:, [node.N_UNSEEN, node.N_UNSEEN, node.N_UNSEEN + 1]]
     slow = nominal[:, node.S_SLOW :] + errors.after[:, GYRO_BIAS:]
     variances = np.diagonal(errors.covariance, axis1=1, axis2=2)[:, GYRO_BIAS:]
     if whole and len(t_ns):

@@ -11,7 +11,7 @@ from core.earth import radii_m
 from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation import state
 from core.navigation.alignment import SECOND_NS, Aligner, InitialState
-from core.navigation.gnss_aiding import slow_share
+from core.navigation.fix_error import slow_share
 from core.navigation.mechanization import normalised, renew_mounting, start_frame
 from core.navigation.track import TRACK, TRACK_COLUMNS, Mode, Track
 from core.navigation.tuning import Tuning
@@ -34,6 +34,7 @@ KEPT: Final = {
 """What a gap does not change, besides the gyroscopes' biases: each error state and its place in ``x``."""
 
 LEARNT_OF_FIXES: Final = slice(state.X_WHITE_SHARE, state.X_WHITE_FIXES + 1)
+LEARNT_OF_DRIFT: Final = slice(state.X_DRIFT, state.X_DRIFTS + 1)
 LEARNT_OF_SPRINGS: Final = slice(state.X_SQUAT, state.X_SQUAT_VAR + 1)
 PLACES: Final = np.arange(state.POS, state.POS + 3)
 ERRORS: Final = np.arange(state.GNSS_ERROR, state.GNSS_ERROR + 3)
@@ -73,9 +74,11 @@ def begin(
     x[state.X_GNSS_ERROR : state.NX] = 0.0
     x[list(KEPT.values())] = 0.0
     x[state.X_WHITE_SHARE], x[state.X_WHITE_FIXES] = tuning.gnss_white_share, WHITE_SHARE_FIXES
+    x[state.X_MOVING] = 1.0
     x[state.X_SQUAT], x[state.X_SQUAT_VAR] = tuning.squat_rad_per_mps2, tuning.squat_sd_rad_per_mps2**2
     if kept is not None:
         x[LEARNT_OF_FIXES] = before[LEARNT_OF_FIXES]
+        x[LEARNT_OF_DRIFT] = before[LEARNT_OF_DRIFT]
         x[LEARNT_OF_SPRINGS] = before[LEARNT_OF_SPRINGS]
     slow = slow_share(x, tuning.as_array())
     x[state.X_SLOW_VAR : state.X_SLOW_VAR + 2] = slow * np.square(found.position_sd_m)

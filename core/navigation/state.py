@@ -73,7 +73,13 @@ X_READING: Final = 87  # last wheel speed, m/s
 X_GAINED: Final = 88  # speed gained since that reading first came, by the accelerometers, m/s
 X_SQUAT: Final = 89  # pitch of the body an acceleration, as learnt, rad s2/m
 X_SQUAT_VAR: Final = 90  # its variance
-X_RING: Final = 91  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
+X_DRIFT: Final = 91  # half the variance by which fixes drift in a second over the stated one, as learnt, 1/s
+X_DRIFTS: Final = 92  # how many differences of fixes it was learnt from, up to a limit
+X_ANCHOR: Final = 93  # an earlier fix against the path, and the path's velocity then, north and east, m, m/s, 4
+X_MOVED: Final = 97  # how far corrections have moved the path since, m north and east, 2
+X_UNSEEN: Final = 99  # variance of what fixes err by and no fix can show, horizontal and vertical, m2
+X_MOVING: Final = 101  # share of the slow error that drifts, as of the last fix
+X_RING: Final = 102  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
 N_BLOCKS: Final = 10
 NX: Final = X_RING + 6 * N_BLOCKS
 
@@ -103,7 +109,8 @@ I_BROKEN: Final = 21  # the position was reset at this instant
 I_HANGS: Final = 22  # the receiver repeats its last fix although the vehicle moved
 T_READING: Final = 23  # last wheel speed
 T_REPEATED: Final = 24  # first of a run of equal ones
-I_COUNTS: Final = 25  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
+T_ANCHOR: Final = 25  # of that earlier fix, 0 without one
+I_COUNTS: Final = 26  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
 
 # Aids and outcomes, the axes of the counters.
 AIDS: Final = (

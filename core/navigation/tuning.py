@@ -83,6 +83,19 @@ class Tuning(Tunables):
         source="multipath 10 s, ionosphere 600 s; of 30, 60 and 120 the likeliest of kth_stockholm and boston_vn100 at "
         "their likeliest UERE, 1.0 m",
     )
+    gnss_drift_s: float = tunable(
+        5.0,
+        unit="s",
+        low=0.5,
+        high=60,
+        source="choice: over so long fixes are compared; the path is good to 0.2 m in it, by velocity or wheels",
+    )
+    gnss_drift_learn: float = tunable(
+        30, unit="1", low=2, high=1e4, source="choice: the drift is then known to 18 %, of two axes, after 150 s"
+    )
+    gnss_drift_change: float = tunable(
+        6.0, unit="1", low=2, high=100, source="over what is believed at most: 3e-3 by chance, as between houses"
+    )
     gnss_white_share: float = tunable(
         0.8, unit="1", low=0, high=4, source="choice: before fixes tell; most of a stated variance is new each time"
     )

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from core.earth import ned_offset_m
-from core.measurements import FloatArray
+from core.measurements import GNSS, FloatArray
 from core.navigation import state
 from core.navigation.records import AidRecords
 from core.navigation.sensor_noise import NOTHING_ADDED, matched_tuning
@@ -73,10 +73,12 @@ TRUE_OF_IT: Final = {
 def measure(tell: Tell, seeds: Sequence[int] = SEEDS, duration_s: float | None = None) -> dict[str, Any]:
     """Mean NEES of three errors of three axes each (3 is expected), mean NIS an axis (1 is), by both settings.
 
-    And by those of all boxes the shares of instants within 3 sd, in and out of outages.
+    Beside NIS what the fixes themselves drew: the mean square of their errors over what they state, 1 in the long run.
+    And by the settings of all boxes the shares of instants within 3 sd, in and out of outages.
     """
     nees: dict[str, list[FloatArray]] = {"usual": [], "stated": []}
     innovations: list[AidRecords] = []
+    drawn: list[dict[str, FloatArray]] = []
     inside, outside = [], []
     for done, seed in enumerate(seeds):
         tell(done, len(seeds))
@@ -87,6 +89,7 @@ def measure(tell: Tell, seeds: Sequence[int] = SEEDS, duration_s: float | None =
         nees["usual"].append(_nees(drive, usual))
         nees["stated"].append(_nees(drive, stated))
         innovations.append(_settled(drive, stated))
+        drawn.append(_drawn(drive))
         within, in_outage = _within_three_sd(drive)
         inside.append(within[in_outage])
         outside.append(within[~in_outage])
@@ -96,7 +99,10 @@ def measure(tell: Tell, seeds: Sequence[int] = SEEDS, duration_s: float | None =
         "drives": len(seeds),
         "nees": _nees_judged(np.array(nees["usual"])),
         "nees_stated": _nees_judged(np.array(nees["stated"])),
-        "nis_stated": {name: _nis_judged(innovations, aid) for name, aid in INNOVATIONS.items()},
+        "nis_stated": {
+            name: _nis_judged(innovations, aid) | {"drawn": float(np.concatenate([one[name] for one in drawn]).mean())}
+            for name, aid in INNOVATIONS.items()
+        },
         "within_3_sd": {
             where: dict(zip((*AXES, "yaw"), map(float, rows.mean(axis=0)), strict=True))
             for where, rows in shares.items()
@@ -125,6 +131,33 @@ def _settled(drive: Drive, config: SessionConfig) -> AidRecords:
         raise ValueError("records were asked for")
     late = drive.t_s(records.t_ns) > SETTLED_S + APART_S
     return AidRecords(records.t_ns[late], records.values[late])
+
+
+def _drawn(drive: Drive) -> dict[str, FloatArray]:
+    """Squares of the fixes' own errors over what they state, axis by axis, as long as innovations are judged."""
+    m, reference = drive.measurements, drive.reference
+    if reference is None:
+        raise ValueError("a simulated drive has a reference")
+    judged = (drive.t_s(m.gnss_t_ns) > SETTLED_S + APART_S) & np.isfinite(m.gnss[:, GNSS["lat_rad"]])
+    t_ns, fixes = m.gnss_t_ns[judged], m.gnss[judged]
+
+    def true(series: FloatArray) -> FloatArray:
+        return np.asarray(np.interp(t_ns, reference.t_ns, series))
+
+    origin = (float(reference.lat_rad[0]), float(reference.lon_rad[0]), float(reference.alt_m[0]))
+    lat_rad, lon_rad, alt_m = (fixes[:, GNSS[name]] for name in ("lat_rad", "lon_rad", "alt_m"))
+    off = ned_offset_m(lat_rad, lon_rad, alt_m, origin)
+    off = off - ned_offset_m(true(reference.lat_rad), true(reference.lon_rad), true(reference.alt_m), origin)
+    v_n = np.column_stack([true(reference.v_n_mps[:, i]) for i in range(3)])
+    wrong_v = fixes[:, [GNSS[name] for name in ("vn_mps", "ve_mps", "vd_mps")]] - v_n
+    sd_h, sd_v, sd_vel = (fixes[:, GNSS[name]] for name in ("sd_h_m", "sd_v_m", "sd_v_mps"))
+    # As the filter takes it, a velocity is worse upwards by the sky's geometry, that of the positions.
+    sd_v_n = sd_vel[:, None] * np.column_stack([np.ones_like(sd_h), np.ones_like(sd_h), sd_v / sd_h])
+    return {
+        "GNSS position": np.square(off[:, :2] / sd_h[:, None]).ravel(),
+        "GNSS height": np.square(off[:, 2] / sd_v),
+        "GNSS velocity": np.square(wrong_v / sd_v_n).ravel(),
+    }
 
 
 def _nis_judged(innovations: Sequence[AidRecords], aid: int) -> dict[str, Any]:

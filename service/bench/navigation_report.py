@@ -57,11 +57,13 @@ def _consistency(found: Mapping[str, Any]) -> Iterable[str]:
     yield f"errors against what is stated: {found['scenario']}, {found['drives']} seeds:"
     tables = {"nees": "NEES, usual settings", "nees_stated": "NEES, as stated", "nis_stated": "NIS, as stated"}
     for settings, text in tables.items():
-        rows = [(text, "mean", "expected", "95 % band", "")]
+        drawn = ("the fixes' own",) if settings == "nis_stated" else ()
+        rows = [(text, "mean", "expected", "95 % band", "", *drawn)]
         for name, one in found[settings].items():
             low, high = one["band"]
             verdict = "inside" if one["inside"] else "outside"
-            rows.append((name, _m(one["mean"]), _m(one["expected"]), f"{low:.2f} to {high:.2f}", verdict))
+            own = (_m(one["drawn"]),) if drawn else ()
+            rows.append((name, _m(one["mean"]), _m(one["expected"]), f"{low:.2f} to {high:.2f}", verdict, *own))
         yield from aligned(rows)
     rows = [("within 3 sd", *next(iter(found["within_3_sd"].values())))]
     for where, shares in found["within_3_sd"].items():

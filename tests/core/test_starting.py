@@ -75,10 +75,12 @@ def test_after_a_gap_the_fixes_are_off_as_before_and_the_less_so_the_longer_it_w
     assert np.linalg.eigvalsh(p).min() > 0.0
 
 
-def test_how_much_of_a_fix_is_white_stays_learnt_over_a_gap():
+def test_how_much_of_a_fix_is_white_and_how_fast_the_rest_drifts_stays_learnt_over_a_gap():
     x, ti = np.zeros(state.NX), np.zeros(state.NT, np.int64)
     x[state.X_WHITE_SHARE], x[state.X_WHITE_FIXES] = 0.1, 60.0
-    for kept, share in ((np.eye(state.N_STATES), 0.1), (None, Tuning().gnss_white_share)):
+    x[state.X_DRIFT], x[state.X_DRIFTS] = 1e-3, 30.0
+    for kept, share, drift in ((np.eye(state.N_STATES), 0.1, 1e-3), (None, Tuning().gnss_white_share, 0.0)):
         y = x.copy()
         begin(y, ti.copy(), FOUND, kept, Tuning(), 0.09, given_offset=False)
         assert y[state.X_WHITE_SHARE] == share
+        assert y[state.X_DRIFT] == drift

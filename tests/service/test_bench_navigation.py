@@ -86,6 +86,11 @@ def test_nees_has_the_band_of_its_samples_and_shares_are_shares():
         assert 0.0 < low < one["expected"] < high
         assert one["mean"] > 0.0
         assert one["inside"] is (low < one["mean"] < high)
+    for one in found["nis_stated"].values():
+        # White fixes of what they state, some 130 in this drive: an axis' mean square is known to 12 %.
+        assert one["drawn"] == pytest.approx(1.0, abs=0.36)
+        # And a filter that is told all that is true errs with them: its innovations are mostly theirs.
+        assert one["mean"] == pytest.approx(one["drawn"], abs=0.2)
     # Five instants from 70 s on but those in the outage and soon after it; a single drive's attitude counts once.
     assert found["nees"]["position"]["band"][0] > found["nees"]["attitude"]["band"][0]
     for shares in found["within_3_sd"].values():

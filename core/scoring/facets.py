@@ -72,9 +72,9 @@ def facet_part(facet: Facet, exposed: Mapping[str, Driven], record: Record) -> P
     expected = k * total_mm * 1e-6 / facet.count_km
     mean = math.fsum(share * facet.relativity[label] for label, share in known.items()) / k if k > NEVER_KNOWN else 1.0
     shrunk = Shrunk(facet.shape, expected * mean, expected)
-    against = facet.share or dict.fromkeys(known, 0.0)
+    against, credibility = facet.share or dict.fromkeys(known, 0.0), shrunk.credibility
     excess = {
-        label: shrunk.credibility * (known.get(label, 0.0) - k * usual) * (facet.relativity[label] - 1.0)
+        label: credibility * (known.get(label, 0.0) - k * usual) * (facet.relativity[label] - 1.0)
         for label, usual in against.items()
     }
     factor = 1.0 + math.fsum(excess.values())
@@ -87,7 +87,7 @@ def facet_part(facet: Facet, exposed: Mapping[str, Driven], record: Record) -> P
         ln=_interval(facet, known, k, shrunk, factor),
         shares=[(contribution, facet.weight * per_excess * part) for contribution, part in told],
         prior_var=facet.weight**2 / facet.shape,
-        credibility=k * shrunk.credibility,
+        credibility=k * credibility,
     )
 
 

@@ -45,9 +45,13 @@ class Reading:
         self._lock = threading.Lock()
         self._read: dict[tuple[str, Part, int], tuple[Holding, Any]] = {}
 
-    def of(self, connection: Connection, tenant_id: str, part: Part) -> tuple[Holding, Any]:
-        """The version of a part that holds for a tenant now, and what it says."""
-        key = (tenant_id, part, rating.newest_version(connection, tenant_id, part))
+    def of(self, connection: Connection, tenant_id: str, *parts: Part) -> list[tuple[Holding, Any]]:
+        """Of each part the version that holds for a tenant now, and what it says."""
+        versions = rating.newest_versions(connection, tenant_id)
+        return [self._held(connection, tenant_id, part, versions.get(part, 0)) for part in parts]
+
+    def _held(self, connection: Connection, tenant_id: str, part: Part, version: int) -> tuple[Holding, Any]:
+        key = (tenant_id, part, version)
         with self._lock:
             if key in self._read:
                 return self._read[key]
@@ -62,26 +66,21 @@ class Reading:
 
     def risk(self, connection: Connection, tenant_id: str) -> RiskBasis:
         """What the tenant's trips are assessed by."""
-        held, tables = self.of(connection, tenant_id, Part.RISK_TABLES)
+        ((held, tables),) = self.of(connection, tenant_id, Part.RISK_TABLES)
         return risk_basis(held.text, tables)
 
-    def model(self, connection: Connection, tenant_id: str) -> ScoreModel:
-        """The tenant's score model."""
-        _, model = self.of(connection, tenant_id, Part.SCORE_MODEL)
+    def scoring(self, connection: Connection, tenant_id: str) -> tuple[ScoreModel, Places | None]:
+        """The tenant's score model, and its risk of places; None where there is none."""
+        (_, model), (_, places) = self.of(connection, tenant_id, Part.SCORE_MODEL, Part.PLACES)
         assert isinstance(model, ScoreModel)
-        return model
+        assert places is None or isinstance(places, Places)
+        return model, places
 
     def tariff(self, connection: Connection, tenant_id: str) -> Tariff:
         """The tenant's tariff."""
-        _, tariff = self.of(connection, tenant_id, Part.TARIFF)
+        ((_, tariff),) = self.of(connection, tenant_id, Part.TARIFF)
         assert isinstance(tariff, Tariff)
         return tariff
-
-    def places(self, connection: Connection, tenant_id: str) -> Places | None:
-        """The tenant's risk of places; None where there is none."""
-        _, places = self.of(connection, tenant_id, Part.PLACES)
-        assert places is None or isinstance(places, Places)
-        return places
 
 
 def zone_of(ref: VehicleRef) -> str:
@@ -109,8 +108,7 @@ def scored(
     """A vehicle's scores; raises InvalidParameterError for a period that is none."""
     with_cells = Product.PWYD in products
     period, record = recorded(connection, ref, asked, now_ns, cells=with_cells)
-    model = reading.model(connection, ref.tenant_id)
-    places = reading.places(connection, ref.tenant_id) if with_cells else None
+    model, places = reading.scoring(connection, ref.tenant_id)
     behind = partial(_cell_evidence, connection, ref.pk, period, record.trips)
     found = {product: score(product, record, period.length_days, model, places, behind) for product in products}
     return Scored(period, record, found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, func, insert, select
+from sqlalchemy import Connection, bindparam, func, insert, select
 
 from service.storage.tables import rating_documents
 
@@ -26,10 +26,9 @@ def newest(connection: Connection, tenant_id: str, part: str) -> RatingRow | Non
     return rows[0] if rows else None
 
 
-def newest_version(connection: Connection, tenant_id: str, part: str) -> int:
-    """The version that holds; 0 where the tenant never had its own."""
-    mine = rating_documents.c.tenant_id == tenant_id, rating_documents.c.part == part
-    return connection.execute(select(func.max(rating_documents.c.version)).where(*mine)).scalar() or 0
+def newest_versions(connection: Connection, tenant_id: str) -> dict[str, int]:
+    """By part, the version that holds, where the tenant has had its own."""
+    return {row.part: row.newest for row in connection.execute(_NEWEST, {"tenant_id": tenant_id})}
 
 
 def find(connection: Connection, tenant_id: str, part: str, version: int) -> RatingRow | None:
@@ -59,3 +58,8 @@ def add(connection: Connection, tenant_id: str, row: RatingRow) -> None:
 
 
 _COLUMNS = [rating_documents.c[name] for name in RatingRow.__slots__]
+_NEWEST = (
+    select(rating_documents.c.part, func.max(rating_documents.c.version).label("newest"))
+    .where(rating_documents.c.tenant_id == bindparam("tenant_id"))
+    .group_by(rating_documents.c.part)
+)

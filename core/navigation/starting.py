@@ -102,7 +102,9 @@ def begin(
     if kept is not None:
         for error_state, place in KEPT.items():
             x[place] = before[place]
-            p[error_state, error_state] = kept[error_state, error_state]
+            # The delay is as unsure as at first: a receiver that was away may have begun anew.
+            least = p[error_state, error_state] if error_state == state.GNSS_DELAY else 0.0
+            p[error_state, error_state] = max(kept[error_state, error_state], least)
         biases = np.arange(state.GYRO_BIAS, state.GYRO_BIAS + 3)
         variance = kept[biases, biases]
         if variance.max() < found.gyro_bias_sd_radps**2:

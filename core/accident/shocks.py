@@ -98,8 +98,8 @@ def _shaking(t_ns: TimeArray, x: FloatArray, flags: Flags, start_ns: int, last_n
     if len(gaps):
         first = min(first + int(gaps[-1]), end - 1)
     z = np.abs(x[first:end, A_Z])
-    peak = max(float(np.max(z)), 1e-9)
-    loud = first + np.flatnonzero(z >= peak / 3.0)
+    peak = float(np.max(z))
+    loud = first + np.flatnonzero(z >= peak / 3.0)  # never none, also where nothing shakes
     return float(t_ns[loud[-1]] - t_ns[loud[0]]) * 1e-9, peak / max(math.sqrt(float(np.mean(z * z))), 1e-9)
 
 

@@ -44,7 +44,13 @@ def test_after_a_gap_what_was_learnt_stays_with_its_spread():
     spread = np.diag(np.full(state.N_STATES, 1e-8))
     x, _, p, learnt = started(spread)
     assert (x[list(KEPT.values())] == learnt).all()
-    assert (p[list(KEPT), list(KEPT)] == 1e-8).all()
+    certain = [one for one in KEPT if one != state.GNSS_DELAY]
+    assert (p[certain, certain] == 1e-8).all()
+
+
+def test_after_a_gap_a_delay_can_be_learnt_anew():
+    _, _, p, _ = started(np.diag(np.full(state.N_STATES, 1e-8)))
+    assert p[state.GNSS_DELAY, state.GNSS_DELAY] == pytest.approx(Tuning().gnss_delay_sd_s ** 2)
 
 
 def test_where_nothing_holds_any_more_all_begins_at_nothing():

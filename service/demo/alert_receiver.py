@@ -90,7 +90,11 @@ def _handler(receiver: AlertReceiver) -> type[BaseHTTPRequestHandler]:
         protocol_version = "HTTP/1.1"
 
         def do_POST(self) -> None:
-            body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
+            length = int(self.headers.get("Content-Length", 0))
+            body = self.rfile.read(length)
+            if len(body) < length:  # the sender went away in the midst of it: no request, and nobody to answer
+                self.close_connection = True
+                return
             receiver.take({name.lower(): value for name, value in self.headers.items()}, body)
             self.send_response(204)
             self.end_headers()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import socket
 import subprocess
 import sys
 from dataclasses import replace
@@ -135,6 +136,15 @@ def test_the_receiver_believes_what_the_public_package_signs_and_nothing_else() 
         httpx.post(receiver.url, content=body, headers=signed | {"webhook-signature": "v1,bm8="})
         came = receiver.wait_until(lambda came: len(came) == 2, 10.0)
     assert [one.verified for one in came] == [True, False]
+
+
+def test_a_request_whose_sender_is_killed_in_the_midst_of_it_is_none() -> None:
+    with AlertReceiver() as receiver:
+        with socket.create_connection(("127.0.0.1", int(receiver.url.split(":")[2].split("/")[0]))) as sender:
+            sender.sendall(b"POST /alerts HTTP/1.1\r\nHost: x\r\nContent-Length: 100\r\n\r\n{")
+            sender.shutdown(socket.SHUT_WR)
+            assert sender.recv(1) == b""  # no answer, and so all of it was looked at
+        assert receiver.wait_until(lambda came: True, 1.0) == []
 
 
 def demo(directory: Path, *words: str) -> subprocess.CompletedProcess[str]:

@@ -126,7 +126,7 @@ class ImpactDetector:
         judged = pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse)
         first_ns = int(t_ns[judged.first])
         around = {
-            "fell": trigger.fell(registers, first_ns, limits.trigger.fell_before_s),
+            "fell": trigger.lately(registers, trigger.FELL, first_ns, limits.trigger.fell_before_s),
             "parked": self._stood_parked(first_ns),
         }
         impact, odds, unclipped = felt(level, judged, row, NAME, limits, **around)

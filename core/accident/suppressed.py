@@ -25,8 +25,8 @@ def of_shocks(
     shock, swing_mps, delta_v_mps, duration_s = read_shock(
         level.t_ns, level.x, level.flags, start_ns, last_ns,
         shocks=int(registers[trigger.SHOCKS]),
-        fell=trigger.fell(registers, start_ns, limits.trigger.fell_before_s),
-        moved=start_ns - registers[trigger.MOVED] < round(limits.aftermath.parked_s * 1e9),
+        fell=trigger.lately(registers, trigger.FELL, start_ns, limits.trigger.fell_before_s),
+        moved=trigger.lately(registers, trigger.MOVED, start_ns, limits.aftermath.parked_s),
         towed=towed,
     )  # fmt: skip
     return Candidate(

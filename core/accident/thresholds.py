@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from core.accident.naming import NamingThresholds
 from core.tunables import Tunables, tunable
 
 MPS_PER_KMH: Final = 1.0 / 3.6
@@ -400,6 +401,9 @@ class RolloverThresholds(Tunables):
         high=20.0,
         source="choice: where it had stood, or the box fell or spun as no car does",
     )
+    before_s: float = tunable(
+        1.0, unit="s", low=0.2, high=5.0, source="choice: what a car did within it before it lay tipped it over"
+    )
     fell_before_s: float = tunable(
         1.5, unit="s", low=0.1, high=5.0, source="choice: a box that fell tumbles on before it lies"
     )
@@ -494,76 +498,6 @@ class AftermathThresholds(Tunables):
     parked_s: float = tunable(
         180.0, unit="s", low=10.0, high=3600.0, source="choice: longer than traffic lights and most queues stand"
     )
-
-
-@dataclass(frozen=True, slots=True)
-class NamingThresholds(Tunables):
-    """By what the classes that are no accidents are told from each other."""
-
-    abrupt_share: float = tunable(
-        0.04, unit="1", low=0.0, high=0.5, source="choice: bodies swell and ring; converters fail within a sample"
-    )
-    abrupt_radps: float = tunable(
-        0.2, unit="rad/s", low=0.0, high=2.0, source="choice: a turn is felt, but no blow that turns the car"
-    )
-    stuck_s: float = tunable(
-        0.1, unit="s", low=0.02, high=1.0, source="choice: shocks that are no accidents clip for less"
-    )
-    fallen_radps: float = tunable(0.8, unit="rad/s", low=0.1, high=10.0, source="choice: a box that falls tumbles")
-    knock_radps: float = tunable(
-        0.25, unit="rad/s", low=0.05, high=20.0, source="choice: hands turn boxes, doors hardly a standing car"
-    )
-    loose_radps: float = tunable(
-        0.8, unit="rad/s", low=0.1, high=20.0, source="choice: roads turn a car by less within a knock's time"
-    )
-    knock_s: float = tunable(
-        0.04, unit="s", low=0.005, high=0.2, source="choice: knocks are shorter than a wheel's way"
-    )
-    slow_mps: float = tunable(1.2, unit="m/s", low=0.3, high=5.0, source="choice: kerb stones stop who parks")
-    level_share: float = tunable(
-        0.5, unit="1", low=0.1, high=2.0, source="choice: what shakes so little is no road but brakes or steering"
-    )
-    steady_mps2: float = tunable(2.5, unit="m/s2", low=0.5, high=10.0, source="choice: quarter of a g throughout")
-    rough_mps2: float = tunable(
-        2.5, unit="m/s2", low=1.0, high=20.0, source="choice: rms of cobbles and gravel, ISO 8608 classes D and E"
-    )
-    train_shocks: int = tunable(
-        6, unit="1", low=3, high=50, source="choice: two axles over two rails make four shocks, cobbles no end"
-    )
-    crossing_shocks: int = tunable(
-        3, unit="1", low=2, high=10, source="choice: a pothole or bump makes two, one an axle"
-    )
-    train_s: float = tunable(
-        0.45, unit="s", low=0.1, high=2.0, source="choice: longer than a hole shakes a car at speed"
-    )
-    train_m: float = tunable(8.0, unit="m", low=1.0, high=100.0, source="choice: two lengths of a car")
-    train_mps2: float = tunable(
-        1.9, unit="m/s2", low=0.5, high=20.0, source="choice: rms before, on a road that shakes on: ISO 8608 class D"
-    )
-    crossing_m: float = tunable(
-        4.0, unit="m", low=1.0, high=20.0, source="two axles, 2.6 m apart, over a track of 1.435 m"
-    )
-    crossing_most_m: float = tunable(
-        20.0, unit="m", low=4.0, high=100.0, source="choice: two tracks, two axles, and the springs' way to rest"
-    )
-    crossing_crest: float = tunable(
-        3.4, unit="1", low=1.0, high=10.0, source="choice: 4 to 8 blows; one hole stands out of its second by 4 to 7"
-    )
-    even_share: float = tunable(
-        0.25, unit="1", low=0.0, high=2.0, source="choice: what both wheels of an axle meet at once hardly rolls a car"
-    )
-    pushed_radps: float = tunable(
-        0.03, unit="rad/s", low=0.0, high=1.0, source="choice, 2 deg/s: a car pitches by it when pushed"
-    )
-    kerb_mps: float = tunable(8.0, unit="m/s", low=1.0, high=15.0, source="choice: kerbs are mounted slowly")
-    kerb_radps: float = tunable(0.35, unit="rad/s", low=0.05, high=3.0, source="choice: one side is lifted at a time")
-    bump_s: float = tunable(
-        0.05, unit="s", low=0.01, high=0.5, source="choice: humps are metres long, holes and edges decimetres"
-    )
-    bump_mps: float = tunable(
-        14.0, unit="m/s", low=5.0, high=30.0, source="choice: humps stand where 50 km/h is the limit"
-    )
-    ferry_leans: int = tunable(3, unit="1", low=2, high=50, source="choice: a ship rolls on, a truck is loaded once")
 
 
 @dataclass(frozen=True, slots=True)

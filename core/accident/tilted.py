@@ -15,9 +15,6 @@ from core.accident.shocks import read_shock
 from core.accident.thresholds import DetectorThresholds
 from core.measurements import TimeArray
 
-BEFORE_S = 1.0
-"""What is looked at before the tilt, s. A choice: a car tips over within."""
-
 
 def lying(
     level: LevelMotion, registers: TimeArray, row: int, detector: str, limits: DetectorThresholds, *, towed: bool
@@ -25,18 +22,19 @@ def lying(
     """The rollover of a vehicle that has lain on its side up to ``row``; or what the box did, which had stood, fell,
     crept there or tumbled as no car does."""
     since_ns, now, rollover = int(registers[trigger.TILTED]), int(level.t_ns[row]), limits.rollover
-    first = int(np.searchsorted(level.t_ns, since_ns - _ns(BEFORE_S)))
+    before_ns = since_ns - round(rollover.before_s * 1e9)
+    first = int(np.searchsorted(level.t_ns, before_ns))
     shock, swing_mps, delta_v_mps, _ = read_shock(
-        level.t_ns, level.x, level.flags, since_ns - _ns(BEFORE_S), since_ns,
+        level.t_ns, level.x, level.flags, before_ns, since_ns,
         shocks=0,
-        fell=trigger.fell(registers, since_ns, rollover.fell_before_s),
-        moved=since_ns - registers[trigger.MOVED] < _ns(limits.aftermath.parked_s),
+        fell=trigger.lately(registers, trigger.FELL, since_ns, rollover.fell_before_s),
+        moved=trigger.lately(registers, trigger.MOVED, since_ns, limits.aftermath.parked_s),
         towed=towed,
     )  # fmt: skip
     rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
     # Cars tip over within a second; what crept there, from half as far, was a box that had come to lie so.
     half_way = math.cos(math.radians(0.5 * limits.trigger.tilt_deg))
-    crept = level.x[np.searchsorted(level.t_ns, since_ns - _ns(rollover.tipped_s)), UPRIGHT] < half_way
+    crept = level.x[np.searchsorted(level.t_ns, since_ns - round(rollover.tipped_s * 1e9)), UPRIGHT] < half_way
     across = shock.nod_radps > max(rollover.tumbles_radps, shock.sway_radps)
     tumbles = across or rate > limits.judgement.rotation_radps
     if shock.stood or shock.fell or crept or tumbles:
@@ -55,7 +53,3 @@ def lying(
     felt = delta_v_mps, shock.horizontal_mps2
     tilted = int(np.searchsorted(level.t_ns, since_ns))
     return overturned(level, tilted, row, detector, rollover.odds, felt, limits)
-
-
-def _ns(seconds: float) -> int:
-    return round(seconds * 1e9)

@@ -120,9 +120,9 @@ def levels(trigger: TriggerThresholds) -> FloatArray:
     )  # fmt: skip
 
 
-def fell(registers: TimeArray, t_ns: int, within_s: float) -> bool:
-    """Whether what is looked at has fallen freely within a span before a time."""
-    return t_ns - int(registers[FELL]) < round(within_s * 1e9)
+def lately(registers: TimeArray, which: int, t_ns: int, within_s: float) -> bool:
+    """Whether what a register is the time of (``FELL``, ``MOVED``, ...) was within a span before a time."""
+    return t_ns - int(registers[which]) < round(within_s * 1e9)
 
 
 @njit(cache=True, nogil=True)

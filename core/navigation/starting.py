@@ -28,10 +28,10 @@ KEPT: Final = {
     state.SPEED_SCALE: state.X_SCALE,
     state.MOUNT_PITCH: state.X_MOUNT_PITCH,
     state.MOUNT_YAW: state.X_MOUNT_YAW,
-    state.GNSS_DELAY: state.X_GNSS_DELAY,
     state.GYRO_SCALE: state.X_GYRO_SCALE,
 }
-"""What a gap does not change, besides the gyroscopes' biases: each error state and its place in ``x``."""
+"""What a gap does not change, besides the gyroscopes' biases: each error state and its place in ``x``. The delay of
+fixes stays likewise, but not its spread."""
 
 LEARNT_OF_FIXES: Final = slice(state.X_WHITE_SHARE, state.X_WHITE_FIXES + 1)
 LEARNT_OF_DRIFT: Final = slice(state.X_DRIFT, state.X_DRIFTS + 1)
@@ -102,9 +102,9 @@ def begin(
     if kept is not None:
         for error_state, place in KEPT.items():
             x[place] = before[place]
-            # The delay is as unsure as at first: a receiver that was away may have begun anew.
-            least = p[error_state, error_state] if error_state == state.GNSS_DELAY else 0.0
-            p[error_state, error_state] = max(kept[error_state, error_state], least)
+            p[error_state, error_state] = kept[error_state, error_state]
+        # As unsure as at first: a receiver that was away may have begun anew.
+        x[state.X_GNSS_DELAY] = before[state.X_GNSS_DELAY]
         biases = np.arange(state.GYRO_BIAS, state.GYRO_BIAS + 3)
         variance = kept[biases, biases]
         if variance.max() < found.gyro_bias_sd_radps**2:

@@ -13,9 +13,9 @@ from service.noise import measure_noise
 from service.recordings.calibration_recording import ReadRecording
 from service.reports.calibration import calibration_report
 from service.reports.noise import noise_report
-from tests.browsing import CHROMIUM, Opened
+from tests.browsing import Opened, needs_chromium
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: apt-get install chromium")
+pytestmark = needs_chromium
 HOSTILE = "</script><script>document.title='taken'</script><img src=http://127.0.0.1:9/x onerror=alert(1)>.csv"
 OF_THE_DRIVER = ("GPU stall", "willReadFrequently")
 """What Chromium itself says of drawing in three dimensions without a graphics card."""

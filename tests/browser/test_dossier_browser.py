@@ -11,11 +11,11 @@ from service.reports.dossier import Dossier
 from service.storage.accidents import AccidentRow
 from service.storage.evidence import EvidenceRow
 from service.storage.reviews import ReviewRow
-from tests.browsing import CHROMIUM, Opened
+from tests.browsing import Opened, needs_chromium
 from tests.evidence_inputs import small_bundle
 from tests.service.stored_rows import T0, accident_row
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: apt-get install chromium")
+pytestmark = needs_chromium
 HOSTILE = "</script><script>document.title='taken'</script><img src=http://127.0.0.1:9/x onerror=alert(1)>"
 A4 = {"format": "A4", "margin": {"top": "12mm", "bottom": "12mm", "left": "12mm", "right": "12mm"}}
 

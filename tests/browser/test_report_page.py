@@ -6,11 +6,10 @@ import re
 
 import pytest
 
-from tests.browsing import CHROMIUM, Opened
+from tests.browsing import Opened, needs_chromium
 from tests.report_inputs import report
 
-# `make browser` installs it, and .ci/run calls that: only a developer's machine can be without.
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine: apt-get install chromium")
+pytestmark = needs_chromium
 HOSTILE = "</script><script>document.title='taken'</script><img src=http://127.0.0.1:9/x onerror=alert(1)>"
 
 

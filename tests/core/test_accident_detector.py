@@ -9,73 +9,15 @@ import numpy as np
 import pytest
 
 from core.accident.detector import ImpactDetector
-from core.accident.events import Kind, NoAccident, Severity, Status, VehicleMotion
+from core.accident.events import Kind, NoAccident, Severity, Status
 from core.accident.profiles import for_vehicle
 from core.accident.severity import classify, force_direction_deg
 from core.accident.thresholds import SeverityThresholds, TriggerThresholds
 from core.errors import InvalidInputError
 from core.measurements import FLAG_AIRBAG
-from core.simulation.corpus import accident_case, quiet_case
+from core.simulation.corpus import quiet_case
 from core.simulation.disturbances import NonAccident as Happening
-
-G = 9.80665
-EPOCH_NS = 1_700_000_000_000_000_000
-RATE_HZ = 200.0
-IMPACT_S = 3.0
-
-
-def drive(
-    *pulses, seconds=8.0, speed_mps=12.0, full_scale_g=math.inf, attitude=True, noise=0.1, rate_hz=RATE_HZ, falls=()
-):
-    """Motion on a level road with pulses (start_s, dv_forward, dv_right, dv_down, length_s), each a haversine.
-
-    Each nods the car on its springs by 0.1 rad/s a m/s. ``falls`` are (start_s, end_s) of free fall.
-    """
-    rng = np.random.default_rng(3)
-    t_s = np.arange(0.0, seconds, 1.0 / rate_hz)
-    f_b = np.array([0.0, 0.0, -G]) + rng.normal(0.0, noise, (len(t_s), 3))
-    omega_b = rng.normal(0.0, 0.003, (len(t_s), 3))
-    for start_s, *delta_v, length_s in pulses:
-        f_b += np.outer(haversine(t_s - start_s, length_s), delta_v)
-        since = np.maximum(t_s - start_s, 0.0)
-        omega_b[:, 1] += 0.1 * math.hypot(*delta_v[:2]) * np.sin(9.0 * since) * np.exp(-3.0 * since)
-    for start_s, end_s in falls:
-        f_b[(t_s >= start_s) & (t_s < end_s), 2] += G
-    limit = full_scale_g * G
-    saturated = (np.abs(f_b) >= limit).any(axis=1).astype(np.uint8)
-    level = np.tile([0.0, 0.0, 1.0], (len(t_s), 1))
-    return VehicleMotion(
-        t_ns=EPOCH_NS + np.round(t_s * 1e9).astype(np.int64),
-        f_b=np.clip(f_b, -limit, limit),
-        omega_b=omega_b,
-        down_b=level if attitude else np.full_like(level, np.nan),
-        speed_mps=np.full(len(t_s), speed_mps),
-        saturated=saturated,
-        gravity_mps2=G,
-    )
-
-
-def haversine(since_s, length_s):
-    """Pulse of unit area, 1/s."""
-    phase = since_s / length_s
-    return np.where((phase > 0) & (phase < 1), 2.0 / length_s * np.sin(np.pi * phase) ** 2, 0.0)
-
-
-def told(motion, thresholds=None):
-    """Every accident in its order, each with all that was told of it."""
-    accidents = {}
-    for impact in ImpactDetector(thresholds).step(motion).impacts:
-        accidents.setdefault(impact.t_ns, []).append(impact)
-    return list(accidents.values())
-
-
-def find(motion, thresholds=None):
-    """The accidents that were not retracted, each as it was told last."""
-    return [revisions[-1] for revisions in told(motion, thresholds) if revisions[-1].status is not Status.RETRACTED]
-
-
-def named(motion):
-    return [candidate.reason for candidate in ImpactDetector().step(motion).candidates]
+from tests.crash_timelines import EPOCH_NS, IMPACT_S, G, drive, find, haversine, named, take, told
 
 
 def test_a_frontal_crash_is_told_with_its_change_of_velocity_direction_and_time():
@@ -392,18 +334,6 @@ def test_thresholds_refuse_what_makes_no_sense():
         TriggerThresholds(tyre_mps2=1.1)
 
 
-def take(motion, index):
-    return VehicleMotion(
-        motion.t_ns[index],
-        motion.f_b[index],
-        motion.omega_b[index],
-        motion.down_b[index],
-        motion.speed_mps[index],
-        motion.saturated[index],
-        motion.gravity_mps2,
-    )
-
-
 def test_clipping_one_axis_does_not_turn_the_direction_of_force():
     (impact,) = find(drive((IMPACT_S, -9.4, -3.4, 0.0, 0.12), full_scale_g=2.0))
     assert impact.clipped
@@ -451,82 +381,6 @@ def test_a_pulse_is_read_to_the_end_of_its_flank_and_the_braking_after_it_is_lef
     motion.speed_mps[t_s > IMPACT_S + 1.5] = 0.0
     (impact,) = find(motion)
     assert impact.delta_v_mps == pytest.approx(4.5, abs=0.3)  # a tail of 0.06 s at 5 m/s2
-
-
-def clipped_crash(delta_v_b, speed_mps, decel_mps2=5.0, length_s=0.12):
-    """A crash of which 2 g clip both axes, then braking to rest; the filter's speed is right before and at rest."""
-    left = math.hypot(speed_mps + delta_v_b[0], delta_v_b[1])
-    stops_s, seconds = IMPACT_S + length_s + left / decel_mps2, 16.0
-    motion = drive((IMPACT_S, *delta_v_b, 0.0, length_s), seconds=seconds)
-    t_s = (motion.t_ns - EPOCH_NS) * 1e-9
-    sliding = (t_s >= IMPACT_S + length_s) & (t_s < stops_s)
-    heading = np.array([speed_mps + delta_v_b[0], delta_v_b[1]]) / left
-    motion.f_b[sliding, :2] -= decel_mps2 * heading
-    motion.speed_mps[:] = np.where(t_s < IMPACT_S + length_s, speed_mps, np.where(t_s < stops_s, 5.0, 0.0))
-    limit = 2.0 * G
-    motion.saturated[:] = (np.abs(motion.f_b) >= limit).any(axis=1)
-    np.clip(motion.f_b, -limit, limit, out=motion.f_b)
-    return motion
-
-
-@pytest.mark.parametrize("delta_v_b", [(-9.4, -3.4), (-7.0, -7.0), (-3.0, 8.0), (-12.0, 1.0)])
-def test_rest_tells_what_clipping_hid_of_a_crash_and_where_it_came_from(delta_v_b):
-    (revisions,) = told(clipped_crash(delta_v_b, speed_mps=14.0))
-    early, last = revisions[1], revisions[-1]
-    size, from_deg = math.hypot(*delta_v_b), math.degrees(math.atan2(-delta_v_b[1], -delta_v_b[0]))
-    assert last.clipped
-    # Speed off by 0.15 m/s and an accelerometer by 0.08 m/s2 for some 3 s: 0.3 m/s, twice.
-    assert last.delta_v_mps == pytest.approx(size, abs=0.6)
-    assert abs(math.remainder(last.pdof_deg - from_deg, 360.0)) < 5.0
-    assert last.pdof_sd_deg < early.pdof_sd_deg
-    assert last.delta_v_interval_mps[0] < size < last.delta_v_interval_mps[1]
-    assert np.ptp(last.delta_v_interval_mps) < 0.5 * np.ptp(early.delta_v_interval_mps)
-
-
-def test_an_accident_that_goes_on_after_a_checkpoint_is_refined_all_the_same():
-    motion = clipped_crash((-7.0, -7.0), speed_mps=14.0)
-    before, after = np.array_split(np.arange(len(motion.t_ns)), [800])
-    whole, first = ImpactDetector(), ImpactDetector()
-    expected = whole.step(motion).impacts
-    found = first.step(take(motion, before)).impacts
-    second = ImpactDetector()
-    second.load(first.state())
-    assert found + second.step(take(motion, after)).impacts == expected
-
-
-def worst_of(case):
-    """The one accident told of a case: its last revision, and by how much its direction is off, deg."""
-    (revisions,) = told(case.motion)
-    return revisions[-1], abs(math.remainder(revisions[-1].pdof_deg - case.truth.pdof_deg, 360.0))
-
-
-@pytest.mark.parametrize(("name", "seed"), [("multi_impact", 1052), ("multi_impact", 1057), ("multi_impact", 1066)])
-def test_which_of_several_clipped_impacts_was_the_worst_is_told_once_the_car_has_come_to_rest(name, seed):
-    case = accident_case(name, seed, full_scale_g=2.0)
-    last, off_deg = worst_of(case)
-    assert last.clipped
-    assert off_deg < 15.0  # issue 5
-    assert last.delta_v_interval_mps[0] <= case.truth.delta_v_mps <= last.delta_v_interval_mps[1]
-
-
-def test_an_accident_of_several_clipped_impacts_goes_on_after_a_checkpoint_to_the_bit():
-    motion = accident_case("multi_impact", 1066, full_scale_g=2.0).motion
-    whole = ImpactDetector().step(motion).impacts
-    assert whole[-1].impacts == 3
-    begin = int(np.searchsorted(motion.t_ns, whole[-1].t_ns))
-    for after_s in (0.1, 0.5, 1.5, 5.0):
-        cut = begin + round(after_s * 200.0)
-        first, second = ImpactDetector(), ImpactDetector()
-        found = first.step(take(motion, np.arange(cut))).impacts
-        second.load(first.state())
-        assert found + second.step(take(motion, np.arange(cut, len(motion.t_ns)))).impacts == whole
-
-
-@pytest.mark.parametrize(("seed", "full_scale_g"), [(31, 2.0), (1008, 16.0), (1068, 100.0)])
-def test_a_spin_after_a_blow_is_not_told_in_its_place(seed, full_scale_g):
-    last, off_deg = worst_of(accident_case("spin", seed, full_scale_g=full_scale_g, rate_hz=100.0))
-    assert off_deg < 15.0  # issue 5
-    assert last.impacts == 1
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ FOUND = InitialState(
 
 
 GAP_S = 60.0
+DELAY_S = 0.3
 
 
 def started(kept, fix_error_n_m=(0.0, 0.0, 0.0)):
@@ -35,6 +36,7 @@ def started(kept, fix_error_n_m=(0.0, 0.0, 0.0)):
     x[state.X_GNSS_ERROR : state.X_GNSS_ERROR + 3] = fix_error_n_m
     ti[state.T_DECAY] = FOUND.t_ns - round(GAP_S * 1e9)
     x[list(KEPT.values())] = learnt = 0.01 * np.arange(1, len(KEPT) + 1)
+    x[state.X_GNSS_DELAY] = DELAY_S
     ti[state.I_COUNTS :] = 7
     p = begin(x, ti, FOUND, kept, Tuning(), 0.09, given_offset=False)
     return x, ti, p, learnt
@@ -44,12 +46,12 @@ def test_after_a_gap_what_was_learnt_stays_with_its_spread():
     spread = np.diag(np.full(state.N_STATES, 1e-8))
     x, _, p, learnt = started(spread)
     assert (x[list(KEPT.values())] == learnt).all()
-    certain = [one for one in KEPT if one != state.GNSS_DELAY]
-    assert (p[certain, certain] == 1e-8).all()
+    assert (p[list(KEPT), list(KEPT)] == 1e-8).all()
 
 
 def test_after_a_gap_a_delay_can_be_learnt_anew():
-    _, _, p, _ = started(np.diag(np.full(state.N_STATES, 1e-8)))
+    x, _, p, _ = started(np.diag(np.full(state.N_STATES, 1e-8)))
+    assert x[state.X_GNSS_DELAY] == DELAY_S
     assert p[state.GNSS_DELAY, state.GNSS_DELAY] == pytest.approx(Tuning().gnss_delay_sd_s ** 2)
 
 

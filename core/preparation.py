@@ -15,6 +15,7 @@ import numpy.typing as npt
 from numba import njit
 
 from core.box_clock import LATEST_NS
+from core.full_scale import FullScale
 from core.held_axes import HeldAxes
 from core.measurements import FloatArray, Measurements, TimeArray
 from core.navigation.admission import usable_fixes
@@ -26,9 +27,6 @@ from core.rotation import matrix_from_rpy
 from core.sensors import MagnetometerCalibration, TriadCalibration
 
 BoolArray = npt.NDArray[np.bool_]
-
-SATURATION_SHARE: Final = 0.995
-"""A sample at or above this share of the full scale is taken as clipped: scale errors stay below 0.5 %."""
 
 MAX_FORCE_MPS2: Final = 10_000.0
 """Beyond the end of high-g crash sensors, 2000 to 4000 m/s2."""
@@ -57,15 +55,6 @@ def _affine(rows: FloatArray, matrix: FloatArray, offset: FloatArray) -> FloatAr
         out[k, 0] = m00 * a + m01 * b + m02 * c + o0
         out[k, 1] = m10 * a + m11 * b + m12 * c + o1
         out[k, 2] = m20 * a + m21 * b + m22 * c + o2
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _saturated(rows: FloatArray, limit: float) -> FloatArray:
-    out = np.zeros(rows.shape[0])
-    for k in range(rows.shape[0]):
-        if abs(rows[k, 0]) >= limit or abs(rows[k, 1]) >= limit or abs(rows[k, 2]) >= limit:
-            out[k] = 1.0
     return out
 
 
@@ -101,7 +90,10 @@ def with_valid_samples(raw: Measurements, last_ns: int, counts: dict[str, int]) 
 
 
 class Preparation:
-    """Calibration and mounting as one affine map a triad: ``accel_map`` and ``gyro_map``, matrix and offset."""
+    """Calibration and mounting as one affine map a triad: ``accel_map`` and ``gyro_map``, matrix and offset.
+
+    What was learnt of the raw readings is taken over from the one ``before``.
+    """
 
     def __init__(
         self,
@@ -110,14 +102,15 @@ class Preparation:
         mounting: Mounting,
         accel_full_scale_mps2: float,
         magnetometer: MagnetometerCalibration | None = None,
-        held: HeldAxes | None = None,
+        before: Preparation | None = None,
     ) -> None:
         self.C_b_from_s = matrix_from_rpy(*mounting.rpy_rad)
         self.accel_map = self._map(accelerometer)
         self.gyro_map = self._map(gyroscope)
         self._magnetic_map = self._map(MagnetometerCalibration() if magnetometer is None else magnetometer)
         self._full_scale_mps2 = accel_full_scale_mps2
-        self.held = HeldAxes() if held is None else held
+        self.held: HeldAxes = HeldAxes() if before is None else before.held
+        self.full_scale: FullScale = FullScale() if before is None else before.full_scale
 
     def _map(self, calibration: TriadCalibration | MagnetometerCalibration) -> tuple[FloatArray, FloatArray]:
         offset = calibration.correct(np.zeros((1, 3)))[0]
@@ -127,10 +120,9 @@ class Preparation:
     def step(self, raw: Measurements) -> BodySamples:
         """Calibrated samples of valid ones."""
         t_ns, f_s, omega_s = raw.imu_t_ns, raw.f_s, raw.omega_s
-        full_scale = raw.accel_full_scale_mps2 if math.isnan(self._full_scale_mps2) else self._full_scale_mps2
-        limit = math.inf if math.isnan(full_scale) else SATURATION_SHARE * full_scale
+        stated = raw.accel_full_scale_mps2 if math.isnan(self._full_scale_mps2) else self._full_scale_mps2
         f_b, omega_b = _affine(f_s, *self.accel_map), _affine(omega_s, *self.gyro_map)
-        return BodySamples(t_ns, f_b, omega_b, _saturated(f_s, limit), self.held.step(omega_s))
+        return BodySamples(t_ns, f_b, omega_b, self.full_scale.step(f_s, stated), self.held.step(omega_s))
 
     def sensed(self, bias_b: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Biases left in b, accelerometer then gyroscope (6,), with those removed already: as the sensors show them,

@@ -21,7 +21,6 @@ from core.calibration.in_force import BoxCalibration, CalibrationInForce, parts_
 from core.driving.manoeuvres import Episode, ManoeuvreThresholds, ManoeuvreTracker
 from core.driving.trips import Trip, TripThresholds, TripTracker
 from core.earth import STANDARD_GRAVITY_MPS2
-from core.held_axes import HeldAxes
 from core.measurements import Measurements
 from core.navigation import state
 from core.navigation.aids import Aids
@@ -36,7 +35,7 @@ from core.rotation import matrix_from_rpy, rpy_from_matrix
 from core.sensors import MagnetometerCalibration, TriadCalibration
 from core.snapshot import pack, unpack
 
-SNAPSHOT_VERSION: Final = 6
+SNAPSHOT_VERSION: Final = 7
 KNOWN_MOUNTING_SD_RAD: Final = 0.01
 """Spread of a mounting that was measured: half a degree, by hand."""
 AXES_SD_RAD: Final = 0.014
@@ -241,7 +240,7 @@ class Session:
             update = in_force.look(first_ns, self._seen_biases(), may_fold=self._filter.aligned)
             if update is not None:
                 before = self._preparation
-                self._preparation = after = self._prepared(in_force.calibration, before.held)
+                self._preparation = after = self._prepared(in_force.calibration, before)
                 f_b, omega_b = after.accel_map[1] - before.accel_map[1], after.gyro_map[1] - before.gyro_map[1]
                 if self._mounting is not None:
                     f_b, omega_b = (self._mounting.finder.C_b_from_m @ change for change in (f_b, omega_b))
@@ -249,11 +248,11 @@ class Session:
                 yield update
         was = in_force.version
         if in_force.change(first_ns):
-            self._preparation = self._prepared(in_force.calibration, self._preparation.held)
+            self._preparation = self._prepared(in_force.calibration, self._preparation)
             if was >= 0:
                 self._filter.forget_biases()
 
-    def _prepared(self, calibration: BoxCalibration, held: HeldAxes | None = None) -> Preparation:
+    def _prepared(self, calibration: BoxCalibration, before: Preparation | None = None) -> Preparation:
         config = self.config
         return Preparation(
             calibration.accelerometer,
@@ -261,7 +260,7 @@ class Session:
             config.mounting,
             config.accel_full_scale_mps2,
             calibration.magnetometer,
-            held,
+            before,
         )
 
     def _seen_biases(self) -> Biases | None:
@@ -375,6 +374,7 @@ class Session:
         session._preparation = session._prepared(session._in_force.calibration)
         session._clock.load(parts["clock"])
         session._preparation.held.load(parts["held"])
+        session._preparation.full_scale.load(parts["full_scale"])
         session._warming.load(parts["warming"])
         if session._mounting is not None and "mounting" in parts:
             session._mounting.load(parts["mounting"])
@@ -385,6 +385,7 @@ class Session:
         return [
             ("clock", self._clock.arrays()),
             ("held", self._preparation.held.arrays()),
+            ("full_scale", self._preparation.full_scale.arrays()),
             ("warming", self._warming.arrays()),
             ("filter", self._filter.arrays()),
             (self._detector_stage, self._detector.state()),

@@ -130,7 +130,7 @@ class ImpactDetector:
             "parked": self._stood_parked(first_ns),
         }
         impact, odds, unclipped = felt(level, judged, row, NAME, limits, **around)
-        if not whole and hangs(level.x, judged.first, row):
+        if not whole and hangs(level.x, judged.first, row, judged.jolt_radps, limits.judgement.unturned_radps):
             return  # until it lets go
         likely = probability(odds) >= self._needed(whole=whole, told=told)
         same = self._open is not None and impact.t_ns <= self._open.last_ns + _ns(limits.aftermath.grouping_s)

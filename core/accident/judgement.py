@@ -93,7 +93,9 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     glitch = short and evidence.jolt_radps < limits.abrupt_radps and not (unknown and evidence.clipping_s > 0.0)
     sharp = evidence.abrupt < limits.sharp_share and evidence.clipping_s == 0.0
     glitch = glitch or (sharp and evidence.jolt_radps < limits.sharp_radps)
-    unturned = 0.0 < evidence.jolt_radps < limits.unturned_radps and evidence.delta_v_mps < limits.unturned_mps
+    # What clipped was harder than it read, and what swells or rings is a body's, though no gyroscope felt it.
+    weak = evidence.delta_v_mps < limits.unturned_mps and evidence.clipping_s == 0.0 and evidence.abrupt < 1.0
+    unturned = weak and 0.0 < evidence.jolt_radps < limits.unturned_radps
     glitch = glitch or unturned or evidence.delta_v_mps > limits.most_mps
     if _stopped_by_a_stone(evidence, limits):
         total -= limits.crawl
@@ -115,8 +117,8 @@ def _stopped_by_a_stone(evidence: Evidence, limits: JudgementThresholds) -> bool
 
 
 def _is_still(evidence: Evidence, limits: JudgementThresholds) -> bool:
-    """Whether nothing but the clipped axis moved."""
-    still = evidence.swing_mps < limits.still_share * evidence.delta_v_mps
+    """Whether nothing but the clipped axis moved, and that one by no more than a full scale's jumps."""
+    still = evidence.swing_mps < limits.still_share * evidence.delta_v_mps and evidence.abrupt < 1.0
     return still and 0.0 < evidence.jolt_radps < limits.abrupt_radps
 
 

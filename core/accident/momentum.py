@@ -167,8 +167,8 @@ def settled(
     measurement of the sum over the impacts before, by which each is corrected as a Kalman filter does. Which was the
     worst is seen only then.
 
-    None where no impact clipped, or nothing is known: no speed before, a gap, or less than was read, which clipping
-    cannot have made too large.
+    None where no impact clipped, or nothing is known: no speed before, a gap, a velocity that no pulse of any shape
+    could bring about, or less than was read, which clipping cannot have made too large.
     """
     clipped = any(any(blow.spread) for blow in was.blows)
     if not clipped or not math.isfinite(was.velocity[0]) or int(registers[trigger.GAPS]) != was.gaps:
@@ -187,6 +187,8 @@ def settled(
     innovation = np.array([check.hidden for check in checks]).ravel() - sums @ hidden
     # Pulses that no assumed shape is like: as the measurements contradict them, the shapes say that much less.
     surprise = float(innovation @ np.linalg.solve(sums @ prior @ sums.T + known, innovation))
+    if surprise > limits.refuted * len(checks):
+        return None
     prior = prior * max(surprise / (limits.contradiction * len(checks)), 1.0)
     gain = prior @ sums.T @ np.linalg.inv(sums @ prior @ sums.T + known)
     means, spread = means + gain @ innovation, prior - gain @ sums @ prior

@@ -76,6 +76,15 @@ SHAKEN: Final = 0.04
 that fails does not, but for what tilt lays into the vertical. A choice, after NHTSA test 10146 (0.07 and more)."""
 
 
+RING_NS: Final = 80_000_000
+"""For how long after its end a blow is looked at for ringing, ns: a period and more of what a body rings by, 15 to
+40 Hz. A choice, after NHTSA test 10146."""
+RING: Final = 0.1
+RING_ROWS: Final = 3
+RING_LEAST_NS: Final = 35_000_000
+"""Ringing has three samples on end above this share of the peak, or two of so long, and three times what there was
+before: a converter that lets go is back in one. A choice."""
+
 PLATEAU_NS: Final = 25_000_000
 """Over what a falling flank is told from what brakes and tyres do, ns: twice that holds three samples at 50 Hz."""
 ANY: Final = (0.0, 0.0, 1 << 60)
@@ -273,19 +282,27 @@ def measure(
     low = high = 0.0
     for k in range(begin, end + 1):
         low, high = min(low, x[k, V_Z] - x[first, V_Z]), max(high, x[k, V_Z] - x[first, V_Z])
-    abrupt = _abruptness(x, first, last, end, slow_x, slow_y, high - low, math.hypot(dvx, dvy))
+    abrupt = _abruptness(t_ns, x, first, last, end, slow_x, slow_y, high - low, math.hypot(dvx, dvy))
     return dvx, dvy, high - low, kept, peak, clipped_s, abrupt, rate, jolt, tip, levelled
 
 
 @njit(cache=True, nogil=True)
 def _abruptness(
-    x: FloatArray, first: int, last: int, end: int, slow_x: float, slow_y: float, swing_mps: float, change_mps: float
+    t_ns: TimeArray,
+    x: FloatArray,
+    first: int,
+    last: int,
+    end: int,
+    slow_x: float,
+    slow_y: float,
+    swing_mps: float,
+    change_mps: float,
 ) -> float:
     """Larger acceleration, without the slow one, of the samples just before and after a pulse, over its peak.
 
     A converter that fails does so from one sample to the next; a body swells and rings, and shakes on all axes: what
-    varies without falling back between counts as 1. While the pulse goes on, that it shakes the vertical speaks for a
-    body, and that all axes are frozen against it.
+    varies without falling back between counts as 1, and so does what rings on. While the pulse goes on, that it shakes
+    the vertical speaks for a body, and that all axes are frozen against it.
     """
     peak, frozen = 0.0, 0
     for k in range(first, last + 1):
@@ -310,6 +327,8 @@ def _abruptness(
             return 0.0
         if swing_mps > max(SHAKEN_MPS, SHAKEN * change_mps):
             return 1.0
+    if _rings(t_ns, x, enter, leave, end, slow_x, slow_y, peak):
+        return 1.0
     beside = 0.0
     for way, edge in ((-1, enter), (1, leave)):
         # The quieter of two: a converter that fails may do so in two steps, a body rings on. A blow beyond the full
@@ -327,15 +346,36 @@ def _abruptness(
 
 
 @njit(cache=True, nogil=True)
-def hangs(x: FloatArray, first: int, last: int) -> bool:
-    """Whether an axis reads its full scale between two rows and the others hardly move: a blow would shake them."""
+def _rings(
+    t_ns: TimeArray, x: FloatArray, enter: int, leave: int, end: int, slow_x: float, slow_y: float, peak: float
+) -> bool:
+    """Whether a body rings on after its pulse, as nothing did before."""
+    before = 0.0
+    k = enter - 3  # beyond the flank
+    while k >= 0 and t_ns[enter] - t_ns[k] <= RING_NS:
+        before = max(before, math.hypot(x[k, A_X] - slow_x, x[k, A_Y] - slow_y))
+        k -= 1
+    k, on_end = leave + 1, 0
+    while k <= end and t_ns[k] - t_ns[leave] <= RING_NS:
+        a = math.hypot(x[k, A_X] - slow_x, x[k, A_Y] - slow_y)
+        on_end = on_end + 1 if a > max(RING * peak, 3.0 * before) else 0
+        if on_end >= RING_ROWS or (on_end > 1 and t_ns[k] - t_ns[k - on_end] >= RING_LEAST_NS):
+            return True
+        k += 1
+    return False
+
+
+@njit(cache=True, nogil=True)
+def hangs(x: FloatArray, first: int, last: int, jolt_radps: float, unturned_radps: float) -> bool:
+    """Whether an axis reads its full scale between two rows and the others hardly move, as roads shake them at most: a
+    blow would, and would turn the vehicle."""
     clipped = held = 0
     for k in range(first + 1, last + 1):
         if x[k, CLIP_S] > 0.0 and x[k - 1, CLIP_S] > 0.0:
             clipped += 1
             if abs(x[k, FORCE] - x[k - 1, FORCE]) < HELD * x[k, FORCE]:
                 held += 1
-    return x[last, CLIP_S] > 0.0 and 2 * held >= clipped
+    return x[last, CLIP_S] > 0.0 and (2 * held >= clipped or 0.0 < jolt_radps < unturned_radps)
 
 
 def spin_from(x: FloatArray, start: int, first: int, spin_radps: float) -> int | None:

@@ -492,6 +492,9 @@ class AftermathThresholds(Tunables):
     contradiction: float = tunable(
         6.0, unit="1", low=2.0, high=100.0, source="chi-square of 2 at 1 in 20: beyond, assumed shapes were wrong"
     )
+    refuted: float = tunable(
+        25.0, unit="1", low=6.0, high=1000.0, source="simulated: 8.5 at most in crashes; beyond, the filter is lost"
+    )
     read_share: float = tunable(
         0.8, unit="1", low=0.0, high=1.0, source="choice: clipping only hides; less than was read is no measurement"
     )

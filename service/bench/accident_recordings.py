@@ -6,7 +6,7 @@ import csv
 import gzip
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,7 @@ import numpy as np
 
 from core.accident.events import VehicleMotion
 from core.earth import STANDARD_GRAVITY_MPS2
-from core.measurements import FloatArray
+from core.measurements import FloatArray, Measurements
 from core.simulation.corpus import START_T_NS
 from core.simulation.crashes import Crash
 from core.simulation.disturbances import Disturbance, NonAccident
@@ -44,6 +44,41 @@ FULL_SCALES_G: Final = (2.0, 16.0, 100.0)
 BARRIER_RATES_HZ: Final = (50.0, 100.0, 200.0)
 
 
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """How the barrier test's pulse enters a drive.
+
+    Parameters
+    ----------
+    name : for people
+    share : of the recorded accelerations; a struck car changes its velocity by less than one that meets a wall
+    pdof_deg : where the force comes from; 0 is ahead
+    speed_mps : just before
+    turns : whether the gyroscopes feel the blow; without, as who lays a recorded crash over a recorded drive has it
+    lifts : whether the recorded vertical is laid on as well
+    sensors : the recording's
+    """
+
+    name: str
+    share: float = 1.0
+    pdof_deg: float = 0.0
+    speed_mps: float = BARRIER_SPEED_MPS
+    turns: bool = True
+    lifts: bool = True
+    sensors: tuple[str, ...] = BARRIER_SENSORS
+
+
+INTO_BARRIER: Final = Placement("into the barrier")
+PLACEMENTS: Final = (
+    INTO_BARRIER,
+    Placement("into it, felt along the car alone", turns=False, lifts=False, sensors=BARRIER_SENSORS[:1]),
+    Placement("at rest, from behind", 0.45, 180.0, 0.0, sensors=BARRIER_SENSORS[:1]),
+    Placement("so, felt along the car alone", 0.45, 180.0, 0.0, turns=False, lifts=False, sensors=BARRIER_SENSORS[:1]),
+)
+SILENT_S: Final = 0.6
+"""For how long after contact a silent gyroscope says what it said before."""
+
+
 def missing(data: Path) -> list[str]:
     """Recordings that are not there."""
     return [name for name in (BARRIER, SHOCKS, EVENTS) if not (data / name).is_dir()]
@@ -51,13 +86,18 @@ def missing(data: Path) -> list[str]:
 
 def measure(data: Path, drives: Path, tell: Tell) -> dict[str, Any]:
     """The barrier test in a simulated drive; road shocks, harsh trips and real drives, that hold no accident."""
-    steps = len(BARRIER_SENSORS) * len(FULL_SCALES_G) * len(BARRIER_RATES_HZ) + 3
+    tries = [
+        (sensor, full_scale_g, rate_hz, placement)
+        for placement in PLACEMENTS
+        for sensor in placement.sensors
+        for full_scale_g in FULL_SCALES_G
+        for rate_hz in BARRIER_RATES_HZ
+    ]
+    steps = len(tries) + 3
     tests: list[dict[str, Any]] = []
-    for sensor in BARRIER_SENSORS:
-        for full_scale_g in FULL_SCALES_G:
-            for rate_hz in BARRIER_RATES_HZ:
-                tell(len(tests), steps)
-                tests.append(barrier(data, sensor, full_scale_g, rate_hz))
+    for one in tries:
+        tell(len(tests), steps)
+        tests.append(barrier(data, *one))
     tell(steps - 3, steps)
     found: dict[str, Any] = {
         "barrier": tests,
@@ -72,23 +112,32 @@ def measure(data: Path, drives: Path, tell: Tell) -> dict[str, Any]:
     return found
 
 
-def barrier(data: Path, sensor: str, full_scale_g: float, rate_hz: float, detector: str = OURS) -> dict[str, Any]:
+def barrier(
+    data: Path,
+    sensor: str,
+    full_scale_g: float,
+    rate_hz: float,
+    placement: Placement = INTO_BARRIER,
+    detector: str = OURS,
+) -> dict[str, Any]:
     """The barrier test's pulse at the end of a simulated drive, by a sensor of this range, through a whole session."""
     accelerometer = replace(MICRO_IBB.accelerometer, full_scale=full_scale_g * G)
     scenario = Scenario(
         "a drive into NHTSA's barrier",
-        partial(_into_barrier, _barrier_pulse(data, sensor)),
+        partial(_struck, _barrier_pulse(data, sensor), placement),
         120.0,
         device=replace(MICRO_IBB, name=f"micro_ibb_{full_scale_g:.0f}_g", accelerometer=accelerometer),
     )
     drive = drive_of(perform("barrier", scenario, 1, scenario.duration_s, rate_hz))
-    config = replace(fuse_config(vehicle_config(drive), every_s=0.1), detector=detector)  # type: ignore[arg-type]
-    fused = fuse(drive, config)
-    told = stories(one.impact for one in fused.told)
     truth = (drive.truth or {})["accidents"][0]
     contact_ns = drive.start_t_ns + round(truth["t_s"] * 1e9)
+    if not placement.turns:
+        drive = replace(drive, measurements=_unturned(drive.measurements, contact_ns))
+    config = replace(fuse_config(vehicle_config(drive), every_s=0.1), detector=detector)  # type: ignore[arg-type]
+    told = stories(one.impact for one in fuse(drive, config).told)
     mine = [one for one in told if one.stands and abs(one.first.t_ns - contact_ns) < 1_000_000_000]
     result: dict[str, Any] = {
+        "placement": placement.name,
         "sensor": sensor,
         "full_scale_g": full_scale_g,
         "rate_hz": rate_hz,
@@ -99,10 +148,11 @@ def barrier(data: Path, sensor: str, full_scale_g: float, rate_hz: float, detect
     if mine:
         last = mine[0].last
         low, high = (3.6 * bound for bound in last.delta_v_interval_mps)
+        least, most = (placement.share * bound for bound in BARRIER_KMH)
         result |= {
             "delta_v_kmh": 3.6 * last.delta_v_mps,
             "interval_kmh": [low, high] if math.isfinite(low) else None,
-            "covered": low <= BARRIER_KMH[0] and high >= BARRIER_KMH[1],
+            "covered": low <= least and high >= most,
             "pdof_deg": last.pdof_deg,
             "clipped": last.clipped,
             "confidence": last.confidence,
@@ -125,23 +175,34 @@ def _barrier_pulse(data: Path, sensor: str) -> FloatArray:
     return recorded_pulse(table["t_s"], columns)
 
 
-def _into_barrier(pulse: FloatArray, rng: np.random.Generator, duration_s: float) -> Route:
-    """Streets, then the barrier: the car goes as after a haversine of the same change of velocity, and is shaken by
-    what the recording differs from that."""
+def _struck(pulse: FloatArray, placement: Placement, rng: np.random.Generator, duration_s: float) -> Route:
+    """Streets, then the blow: the car goes as after a haversine of the same change of velocity, and is shaken by what
+    the recording differs from that."""
     b = RouteBuilder(heading_deg=40.0).hold(15.0).to_speed(9.0).hold(6.0).to_speed(6.0, 2.0).turn(90.0, 12.0)
-    b.to_speed(12.0, 2.0).hold(8.0).turn(-60.0, 40.0).to_speed(BARRIER_SPEED_MPS, 2.0).hold(12.0)
-    contact_s = b.t_s
-    b.crash(_SMOOTH).roll_out(3.0)
+    b.to_speed(12.0, 2.0).hold(8.0).turn(-60.0, 40.0).to_speed(placement.speed_mps, 2.0).hold(12.0)
+    contact_s, lead = b.t_s, round(_CONTACT_S * 1000.0)
+    smooth = replace(_SMOOTH, delta_v_mps=placement.share * _SMOOTH.delta_v_mps, pdof_deg=placement.pdof_deg)
+    b.crash(smooth).roll_out(3.0)
     route = b.hold(max(0.0, duration_s - b.t_s)).build(duration_s)
-    lead = round(_CONTACT_S * 1000.0)
+    away = np.array([math.cos(math.radians(placement.pdof_deg)), math.sin(math.radians(placement.pdof_deg))])
     accel_b = np.zeros((len(pulse), 3))
-    accel_b[:, 0], accel_b[:, 2] = pulse[:, 0], pulse[:, 1]
-    smooth = shaped_pulse(_SMOOTH.shape, _SMOOTH.duration_s)
-    accel_b[lead : lead + smooth.size, 0] += _SMOOTH.delta_v_mps * smooth
+    accel_b[:, :2] = placement.share * pulse[:, :1] * away
+    if placement.lifts:
+        accel_b[:, 2] = placement.share * pulse[:, 1]
+    felt = shaped_pulse(smooth.shape, smooth.duration_s)
+    accel_b[lead : lead + felt.size, :2] -= felt[:, None] * smooth.delta_v_b_mps
     difference = Disturbance(
-        NonAccident.VIBRATION, accel_b, np.zeros_like(accel_b), np.full(len(accel_b), BARRIER_SPEED_MPS)
+        NonAccident.VIBRATION, accel_b, np.zeros_like(accel_b), np.full(len(accel_b), placement.speed_mps)
     )
     return replace(route, disturbances=((contact_s - _CONTACT_S, difference),))
+
+
+def _unturned(measurements: Measurements, contact_ns: int) -> Measurements:
+    """The same with gyroscopes that say what they said before contact."""
+    first, last = np.searchsorted(measurements.imu_t_ns, [contact_ns - 20_000_000, contact_ns + round(SILENT_S * 1e9)])
+    omega_s = measurements.omega_s.copy()
+    omega_s[first:last] = omega_s[2 * first - last : first]
+    return replace(measurements, omega_s=omega_s)
 
 
 def shocks(data: Path) -> Iterator[tuple[str, VehicleMotion]]:

@@ -159,9 +159,9 @@ def _errors(found: Mapping[str, Any]) -> Iterable[str]:
 
 
 def _recordings(found: Mapping[str, Any]) -> Iterable[str]:
-    yield "NHTSA barrier test 10146 at the end of a simulated drive (64.6 to 66.2 km/h):"
+    yield "NHTSA barrier test 10146 at the end of a simulated drive (64.6 to 66.2 km/h; 29.1 to 29.8 at rest):"
     rows: list[Sequence[str]] = [
-        ("sensor", "range, g", "rate, Hz", "told, km/h", "95 % interval", "covers", "from, deg", "after, s")
+        ("placed", "sensor", "range, g", "rate, Hz", "told, km/h", "95 % interval", "covers", "from, deg", "after, s")
     ]
     for one in found["barrier"]:
         if not one["found"]:
@@ -175,7 +175,7 @@ def _recordings(found: Mapping[str, Any]) -> Iterable[str]:
                 f"{one['pdof_deg']:.0f}",
                 f"{one['delay_s']:.3f}",
             )
-        rows.append((one["sensor"], f"{one['full_scale_g']:g}", f"{one['rate_hz']:g}", *cells))
+        rows.append((one["placement"], one["sensor"], f"{one['full_scale_g']:g}", f"{one['rate_hz']:g}", *cells))
     yield from aligned(rows)
     drives = found["drives"]
     for part, text in (

@@ -11,8 +11,9 @@ import numpy as np
 from scipy.signal import welch
 
 from core.denoising import WAVELET, Denoiser
+from core.full_scale import FullScale
 from core.measurements import FloatArray
-from core.preparation import SATURATION_SHARE, valid_samples
+from core.preparation import valid_samples
 from service.errors import UsageError
 from service.recordings.drive_folder import IMU_CSV_COLUMNS, Drive
 
@@ -75,9 +76,8 @@ def denoise(drive: Drive, progress: Callable[[float], None] = lambda share: None
         parts.append(denoiser.step(t_ns[begin : begin + CHUNK], raw[begin : begin + CHUNK])[1])
         progress(min(1.0, (begin + CHUNK) / t_ns.size))
     clean = np.concatenate([*parts, denoiser.flush()[1]])
-    full_scale = m.accel_full_scale_mps2
-    clipped = np.abs(raw[:, :3]) >= (math.inf if math.isnan(full_scale) else SATURATION_SHARE * full_scale)
-    clean[:, :3][clipped] = raw[:, :3][clipped]
+    clipped = FullScale().step(raw[:, :3], m.accel_full_scale_mps2) > 0.0
+    clean[clipped, :3] = raw[clipped, :3]
     f_s, omega_s = m.f_s.copy(), m.omega_s.copy()
     f_s[kept], omega_s[kept] = clean[:, :3], clean[:, 3:]
     return Denoised(

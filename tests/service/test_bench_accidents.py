@@ -228,6 +228,14 @@ def test_the_barrier_test_is_found_at_the_end_of_a_drive():
     assert min(found["pdof_deg"], 360.0 - found["pdof_deg"]) < 5.0
 
 
+@pytest.mark.parametrize("placement", [one for one in accident_recordings.PLACEMENTS if not one.turns])
+def test_a_recorded_blow_that_no_gyroscope_felt_is_found_though_it_clips(placement):
+    data = recording("data", accident_recordings.BARRIER).parent
+    found = accident_recordings.barrier(data, "FLLR_XG_93", 2.0, 100.0, placement)
+    assert found["found"]
+    assert found["covered"], found
+
+
 def test_recorded_shocks_and_trips_are_all_given():
     data = recording("data", accident_recordings.SHOCKS).parent
     names = {name for name, _ in accident_recordings.shocks(data)}

@@ -50,6 +50,12 @@ NAMES: Final[Mapping[NonAccident, frozenset[NoAccident]]] = {
     NonAccident.FERRY: frozenset({NoAccident.FERRY}),
     NonAccident.CAR_WASH: frozenset({NoAccident.VIBRATION_TRAIN}),
     NonAccident.TRAILER_COUPLING: frozenset({NoAccident.TRAILER_COUPLING}),
+    NonAccident.TIPPING_BODY: frozenset({NoAccident.TOWING, NoAccident.TRAILER_COUPLING}),
+    NonAccident.KNEELING: frozenset({NoAccident.TOWING, NoAccident.DOOR_SLAM}),
+    NonAccident.WHEELIE: frozenset({NoAccident.SPEED_BUMP, NoAccident.POTHOLE}),
+    NonAccident.STOPPIE: frozenset({NoAccident.EMERGENCY_BRAKING, NoAccident.SPEED_BUMP}),
+    NonAccident.FALL_AT_REST: frozenset({NoAccident.FELL_OVER}),
+    NonAccident.SIDE_STAND: frozenset[NoAccident](),
 }
 """The detector's names that are right for what is simulated."""
 
@@ -78,7 +84,13 @@ class Story:
 
 def listen(detector: str, motions: Iterable[VehicleMotion]) -> tuple[list[Story], list[Candidate]]:
     """What a detector tells of samples that follow one another."""
-    listening = DETECTORS[detector]()
+    return heard(DETECTORS[detector](), motions)
+
+
+def heard(
+    listening: ImpactDetector | PaperRule, motions: Iterable[VehicleMotion]
+) -> tuple[list[Story], list[Candidate]]:
+    """What a fresh detector tells of samples that follow one another."""
     found = [listening.step(motion) for motion in motions]
     return stories(one for each in found for one in each.impacts), [one for each in found for one in each.candidates]
 

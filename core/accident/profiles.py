@@ -16,8 +16,8 @@ _CAR: Final = DetectorThresholds()
 _HEAVY: Final = replace(
     _CAR,
     # UN R13 asks 5 m/s2 of laden trucks, good ones reach 7; a blow moves their mass less, and longer. Choice.
-    trigger=replace(_CAR.trigger, tyre_mps2=8.0, jerk_mps3=40.0, margin_mps=0.3, decide_s=0.45),
-    judgement=replace(_CAR.judgement, long_s=0.25, unturned_radps=0.02),
+    trigger=replace(_CAR.trigger, tyre_mps2=8.0, jerk_mps3=40.0, margin_mps=0.3, decide_s=0.45, hard_mps2=4.0),
+    judgement=replace(_CAR.judgement, long_s=0.25, retained_from=0.6, unturned_radps=0.02, abrupt_radps=0.06),
 )
 
 PROFILES: Final = MappingProxyType(
@@ -29,13 +29,14 @@ PROFILES: Final = MappingProxyType(
         "bus": _HEAVY,
         "motorcycle": replace(
             _CAR,
-            # Riders lean to 50 degrees and lift a wheel by as much; what lies has 65 and more (Viasat tells a motorcycle
-            # on the ground from 60 on). On its stand it leans by 15. It hops over bumps, and is rough for its box.
-            # Choices.
+            # Riders lean to 50 degrees and lift a wheel by as much; what lies has 65 and more (Viasat tells a
+            # motorcycle on the ground from 60 on). On its stand it leans by 15. It hops over bumps, and is rough for
+            # its box. Choices.
             trigger=replace(_CAR.trigger, tyre_mps2=11.5, tilt_deg=65.0, margin_mps=0.5, lean_deg=20.0, fall_s=0.16),
             rollover=replace(_CAR.rollover, tracks=1),
-            # It is turned and lifted by what would only push a car, and its fork gives way at once. Choices.
-            judgement=replace(_CAR.judgement, lifted_from=2.0, short_s=0.05),
+            # It is turned and lifted by what would only push a car, its fork gives way at once, and who is struck seldom
+            # rides on as fast as before. Choices.
+            judgement=replace(_CAR.judgement, lifted_from=0.9, short_s=0.05, drove_on=5.0),
             # It rolls by 2 rad/s into its bends.
             naming=replace(_CAR.naming, loose_radps=3.5),
         ),

@@ -421,6 +421,9 @@ class RolloverThresholds(Tunables):
         high=5.0,
         source="choice: from half of tilt_deg to it at 20 deg/s, slower than any rollover",
     )
+    topples_radps: float = tunable(
+        1.0, unit="rad/s", low=0.1, high=10.0, source="choice: 80 degrees within a second or so, of what has one track"
+    )
     tracks: int = tunable(
         2, unit="1", low=1, high=2, source="what stands on one track falls over where it stands; a car's box comes off"
     )

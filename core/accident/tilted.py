@@ -60,6 +60,6 @@ def lying(
 
 def _reason(shock: Shock, rollover: RolloverThresholds) -> NoAccident:
     """What lies there and is no accident."""
-    if shock.stood and rollover.tracks == 1:
-        return NoAccident.FELL_OVER
-    return NoAccident.BOX_DROPPED if shock.fell else NoAccident.BOX_KNOCKED
+    if shock.fell:
+        return NoAccident.BOX_DROPPED
+    return NoAccident.FELL_OVER if shock.stood and rollover.tracks == 1 else NoAccident.BOX_KNOCKED

@@ -1,4 +1,4 @@
-"""Accidents by class of vehicle: a car's collisions as a heavier or lighter one feels them, and how motorcycles fall."""
+"""Accidents by class of vehicle: a car's collisions as heavier or lighter ones feel them, and how motorcycles fall."""
 
 from __future__ import annotations
 

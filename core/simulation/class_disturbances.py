@@ -12,12 +12,16 @@ import numpy as np
 from core.measurements import FloatArray
 from core.simulation.body_motion import band_noise, rate_b
 from core.simulation.disturbances import Disturbance, NonAccident, between, hardness, structure, times_s
-from core.simulation.handling import SOURCES, G, Source, in_box
+from core.simulation.handling import SOURCES, Source, in_box
 from core.simulation.ride import FINE_HZ
 from core.simulation.vehicles import CAR, Vehicle
 
 UPRIGHT_M: Final = 0.6
 """A motorcycle's box above the ground, m. A choice."""
+DROP_RADPS2: Final = 6.7
+"""How fast a lifted wheel falls: g 0.65 m / (0.95 m2), its centre of gravity from the other axle and its inertia."""
+FORK_S: Final = (0.03, 0.08)
+"""Within what its springs take up the wheel's fall, s. A choice."""
 
 
 def eased(share: FloatArray) -> FloatArray:
@@ -25,13 +29,19 @@ def eased(share: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (1.0 - np.cos(np.pi * np.clip(share, 0.0, 1.0))))
 
 
-def toppling(t: FloatArray, at_s: float, fall_s: float, rng: np.random.Generator) -> FloatArray:
+def toppling(
+    t: FloatArray,
+    at_s: float,
+    fall_s: float,
+    rng: np.random.Generator,
+    yields_s: tuple[float, float] = (0.012, 0.03),
+) -> FloatArray:
     """Share of its way that what falls over has fallen, (n,): faster and faster, then it strikes the ground, yields
-    within some hundredths of a second, and lies."""
+    twice within ``yields_s``, and lies."""
     share = np.clip((t - at_s) / fall_s, 0.0, 1.0) ** 2.2
     back = np.where(t > at_s + fall_s, np.exp(-np.maximum(t - at_s - fall_s, 0.0) / 0.12), 0.0)
     share = share - rng.uniform(0.0, 0.06) * back * np.abs(np.sin(np.pi * np.maximum(t - at_s - fall_s, 0.0) / 0.25))
-    yielding = np.full(round(rng.uniform(0.012, 0.03) * FINE_HZ), 1.0)
+    yielding = np.full(round(rng.uniform(*yields_s) * FINE_HZ), 1.0)
     yielding /= yielding.size
     for _ in range(2):
         padded = np.pad(share, yielding.size, mode="edge")
@@ -40,7 +50,7 @@ def toppling(t: FloatArray, at_s: float, fall_s: float, rng: np.random.Generator
 
 
 def turned_about(rpy_rad: FloatArray, arm_m: FloatArray) -> FloatArray:
-    """What a box at an arm (3,) from the point about which its vehicle turns is accelerated by, (n, 3), its own axes."""
+    """Acceleration of a box at an arm (3,) from what its vehicle turns about, (n, 3), in its own axes."""
     omega = rate_b(rpy_rad)
     arm = np.broadcast_to(arm_m, omega.shape)
     return np.asarray(np.cross(omega, np.cross(omega, arm)) + np.cross(np.gradient(omega, axis=0) * FINE_HZ, arm))
@@ -76,24 +86,29 @@ def side_stand(rng: np.random.Generator, _speed_mps: float = 0.0, _vehicle: Vehi
 def wheelie(rng: np.random.Generator, speed_mps: float, _vehicle: Vehicle = CAR) -> Disturbance:
     """The front wheel lifts by 8 to 50 degrees at 4 to 8 m/s2 for half a second to three, and drops."""
     hard = hardness(rng)
-    up_s, hold_s, drop_s = rng.uniform(0.4, 0.9), rng.uniform(0.3, 2.5), rng.uniform(0.25, 0.5)
-    at_s = 0.5
+    angle, at_s = math.radians(between(8.0, 50.0, hard)), 0.5
+    up_s, hold_s, drop_s = rng.uniform(0.4, 0.9), rng.uniform(0.3, 2.5), _drop_s(angle, rng)
     t = times_s(at_s + up_s + hold_s + drop_s + 2.5)
-    pitch = eased((t - at_s) / up_s) * (1.0 - toppling(t, at_s + up_s + hold_s, drop_s, rng))
-    return _lifted(NonAccident.WHEELIE, t, pitch * math.radians(between(8.0, 50.0, hard)), (0.7, -0.55),
-                   rng.uniform(3.0, 7.0) * _while(t, at_s - 0.2, at_s + up_s + hold_s), speed_mps, rng, hard)  # fmt: skip
+    pitch = eased((t - at_s) / up_s) * (1.0 - toppling(t, at_s + up_s + hold_s, drop_s, rng, FORK_S))
+    along = rng.uniform(3.0, 7.0) * _while(t, at_s - 0.2, at_s + up_s + hold_s)
+    return _lifted(NonAccident.WHEELIE, t, angle * pitch, (0.7, -0.55), along, speed_mps, rng, hard)
 
 
 def stoppie(rng: np.random.Generator, speed_mps: float, _vehicle: Vehicle = CAR) -> Disturbance:
     """Braked at 7 to 9.5 m/s2 until the rear wheel lifts by 4 to 35 degrees; it stops, or nearly, and drops."""
     hard = hardness(rng)
-    brake_mps2, drop_s, at_s = rng.uniform(7.0, 9.5), rng.uniform(0.25, 0.5), 0.5
+    angle, at_s = math.radians(between(4.0, 35.0, hard)), 0.5
+    brake_mps2, drop_s = rng.uniform(7.0, 9.5), _drop_s(angle, rng)
     braking_s = min(max(speed_mps, 4.0) / brake_mps2, rng.uniform(1.0, 2.5))
     t = times_s(at_s + braking_s + drop_s + 2.5)
     up = eased((t - at_s - 0.3 * braking_s) / (0.6 * braking_s))
-    pitch = -up * (1.0 - toppling(t, at_s + braking_s, drop_s, rng)) * math.radians(between(4.0, 35.0, hard))
+    pitch = -angle * up * (1.0 - toppling(t, at_s + braking_s, drop_s, rng, FORK_S))
     along = -brake_mps2 * _while(t, at_s, at_s + braking_s)
     return _lifted(NonAccident.STOPPIE, t, pitch, (-0.7, -0.55), along, max(speed_mps, 4.0), rng, hard)
+
+
+def _drop_s(angle_rad: float, rng: np.random.Generator) -> float:
+    return math.sqrt(2.0 * angle_rad / DROP_RADPS2) * float(rng.uniform(0.9, 1.2))
 
 
 def _while(t: FloatArray, from_s: float, to_s: float) -> FloatArray:
@@ -133,7 +148,9 @@ def tipping_body(rng: np.random.Generator, _speed_mps: float = 0.0, vehicle: Veh
         if k == 0:  # the body comes down
             at_s = up_s + down_s + 8.0
         jolt = between(0.05, 0.4, hardness(rng)) * rng.choice([-1.0, 1.0])
-        _jolt(accel, t, at_s, length_s, jolt * np.array([1.0, 0.15 * rng.standard_normal(), rng.uniform(0.3, 1.2)]), rng)
+        _jolt(
+            accel, t, at_s, length_s, jolt * np.array([1.0, 0.15 * rng.standard_normal(), rng.uniform(0.3, 1.2)]), rng
+        )
     accel += 0.06 * band_noise(t.size, 6.0, 0.4, rng)
     return Disturbance(
         NonAccident.TIPPING_BODY, structure(accel, rng, vehicle), rpy, np.zeros(t.size), hardness=hard

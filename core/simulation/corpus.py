@@ -168,9 +168,7 @@ def disturbed(disturbance: Disturbance, lead_s: float = LEAD_S, tail_s: float = 
     )
 
 
-def on_a_road(
-    motion: BodyMotion, rng: np.random.Generator, engine_on: bool, vehicle: Vehicle = CAR
-) -> BodyMotion:
+def on_a_road(motion: BodyMotion, rng: np.random.Generator, engine_on: bool, vehicle: Vehicle = CAR) -> BodyMotion:
     """With the shaking of road and engine: a level drawn for the road, more of it the faster the car goes."""
     low, high = ROAD_SHAKE_MPS2
     level = vehicle.road_share * low * (high / low) ** rng.random()

@@ -22,7 +22,7 @@ G: Final = STANDARD_GRAVITY_MPS2
 
 
 def emergency_braking(rng: np.random.Generator, speed_mps: float, vehicle: Vehicle = CAR) -> Disturbance:
-    """Full braking to a stop, a car's 6 to 10.8 m/s2 reached within 0.1 to 0.4 s, with ABS, dive, and the jerk back at the end.
+    """Full braking to a stop, a car's 6 to 10.8 m/s2 within 0.1 to 0.4 s, with ABS, dive, and the jerk back at the end.
 
     Dry asphalt allows 7 to 10 m/s2, sports tyres 1.1 g (Gillespie 1992, ch. 3; the hard end is a choice).
     """
@@ -150,7 +150,9 @@ def tow(rng: np.random.Generator, _speed_mps: float = 0.0, vehicle: Vehicle = CA
         end = min(begin + pulse.size + back.size, t.size)
         accel[begin + pulse.size : end] += np.outer(back[: end - begin - pulse.size], aim)
     accel += 0.05 * band_noise(t.size, 8.0, 0.5, rng)
-    return Disturbance(NonAccident.TOW, structure(accel, rng, vehicle), rpy, np.zeros(t.size), ignition=False, hardness=hard)
+    return Disturbance(
+        NonAccident.TOW, structure(accel, rng, vehicle), rpy, np.zeros(t.size), ignition=False, hardness=hard
+    )
 
 
 def box_knocked(rng: np.random.Generator, speed_mps: float = 0.0, _vehicle: Vehicle = CAR) -> Disturbance:
@@ -245,7 +247,9 @@ def trailer_coupling(rng: np.random.Generator, _speed_mps: float = 0.0, vehicle:
     accel = np.column_stack([along + 0.4 * hard * rock, 0.1 * along * rng.standard_normal(), 1.5 * hard * rock])
     rpy = np.zeros((t.size, 3))
     rpy[:, 1] = math.radians(0.8 * hard) * rock
-    return Disturbance(NonAccident.TRAILER_COUPLING, structure(accel, rng, vehicle), rpy, np.zeros(t.size), hardness=hard)
+    return Disturbance(
+        NonAccident.TRAILER_COUPLING, structure(accel, rng, vehicle), rpy, np.zeros(t.size), hardness=hard
+    )
 
 
 def sensor_glitch(rng: np.random.Generator, speed_mps: float = 0.0, _vehicle: Vehicle = CAR) -> Disturbance:

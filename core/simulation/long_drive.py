@@ -61,7 +61,7 @@ _ROUGHNESS_M3: Final = (16e-6, 64e-6, 256e-6, 1024e-6)
 def drive_piece(
     seed: int, density: Density | None = None, distance_km: float = PIECE_KM, vehicle: str = "car"
 ) -> Piece:
-    """The ``seed``-th piece of a class of vehicle, of at least ``distance_km``: the same arguments give the same bits."""
+    """The ``seed``-th piece of a class of vehicle, of at least ``distance_km``: the same arguments, the same bits."""
     rng = np.random.default_rng([seed, 77] if vehicle == "car" else [seed, 77, list(VEHICLES).index(vehicle)])
     script = written(rng, DENSITIES[vehicle] if density is None else density, 1e3 * distance_km, vehicle)
     speed, along, across = (np.concatenate(parts) for parts in zip(*script.parts, strict=True))

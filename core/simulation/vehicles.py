@@ -14,6 +14,9 @@ from core.simulation.ride import Car
 from core.tunables import Tunables, tunable
 
 
+_CAR_BODY: Final = Car()
+
+
 @dataclass(frozen=True, slots=True)
 class Vehicle(Tunables):
     """A class of vehicles; the defaults are a car's.
@@ -22,7 +25,7 @@ class Vehicle(Tunables):
     its change of velocity multiplied by ``share`` and its length by ``stretch``, each drawn between least and most.
     """
 
-    body: Car = Car()
+    body: Car = _CAR_BODY
     tracks: int = tunable(2, unit="1", low=1, high=2, source="one: a motorcycle, that leans into bends and falls over")
     box_forward_m: float = tunable(
         0.9, unit="m", low=-5.0, high=8.0, source="choice: a box under the dashboard, from the centre of gravity"
@@ -80,8 +83,8 @@ VEHICLES: Final[Mapping[str, Vehicle]] = MappingProxyType(
             share_least=0.7, share_most=1.0, stretch_least=1.0, stretch_most=1.25,
         ),
         # UN R13: 5 m/s2 with brakes that answer within 0.6 s; laden trucks tip over from 3 to 5 m/s2 sideways on.
-        # A truck keeps 0.6 to 0.95 of the velocity that a car loses to it, and its frame gives way more slowly; choices,
-        # as masses and springs are (Gillespie 1992, ch. 5: hop of a truck's axle at 10 Hz, its frame's bounce near 2).
+        # A blow changes its velocity by 0.35 to 0.8 of what it would a car's, and its frame gives way more slowly;
+        # choices, as masses and springs are (Gillespie 1992, ch. 5: a truck's axle hops at 10 Hz, it bounces near 2).
         "truck": Vehicle(
             body=Car(
                 sprung_kg=9000.0, unsprung_kg=350.0, pitch_kgm2=32000.0, roll_kgm2=7000.0, front_m=2.0, rear_m=2.2,
@@ -93,19 +96,19 @@ VEHICLES: Final[Mapping[str, Vehicle]] = MappingProxyType(
             engine_mps2=0.3, engine_hz=33.0, road_share=1.5, cab_share=0.6,
             share_least=0.35, share_most=0.8, stretch_least=1.2, stretch_most=1.8,
         ),
-        # UN R80 tries a coach's seats at 30 to 32 km/h within some 120 ms (6.5 to 8.5 g on average); the rest choices.
+        # UN R80 tries a coach's seats at 30 to 32 km/h within some 120 ms (6.5 to 8.5 g on average); choices beside.
         "bus": Vehicle(
             body=Car(
                 sprung_kg=9500.0, unsprung_kg=330.0, pitch_kgm2=90000.0, roll_kgm2=9000.0, front_m=3.2, rear_m=2.6,
-                half_track_m=1.05, height_m=1.2, spring_npm=150000.0, damping_nspm=9000.0, travel_m=0.08, stop_npm=1.5e6,
-                tyre_npm=900000.0, tyre_nspm=600.0, rim_m=0.12, rim_npm=5e6, wheel_radius_m=0.5,
+                half_track_m=1.05, height_m=1.2, spring_npm=150000.0, damping_nspm=9000.0, travel_m=0.08,
+                stop_npm=1.5e6, tyre_npm=900000.0, tyre_nspm=600.0, rim_m=0.12, rim_npm=5e6, wheel_radius_m=0.5,
             ),
             box_forward_m=5.0, box_right_m=-0.5, box_down_m=-0.4, braking_least_mps2=4.5, braking_most_mps2=7.0,
             brakes_least_s=0.25, brakes_most_s=0.6, side_least_mps2=2.5, side_most_mps2=4.5, top_mps=28.0, hurry=0.7,
             engine_mps2=0.15, engine_hz=30.0, road_share=1.2,
             share_least=0.4, share_most=0.9, stretch_least=1.1, stretch_most=1.6,
         ),
-        # With a rider. UN R78 asks 6.4 m/s2, good brakes come to the wheelie's opposite at 9 to 10. Leans to 45 degrees
+        # With a rider. UN R78 asks 6.4 m/s2; the rear wheel lifts at 9 to 10. Leans to 45 degrees
         # at its tyres' reach. It crashes with its fork and wheel, which give way within 40 to 130 ms (choice).
         "motorcycle": Vehicle(
             body=Car(

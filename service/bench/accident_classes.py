@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, Final, NamedTuple
 
 from core.accident.detector import ImpactDetector
@@ -49,9 +49,7 @@ def measure(
 ) -> dict[str, Any]:
     """Figures by class of vehicle, over cases and pieces from seed ``first`` on."""
     jobs = list(_jobs(accidents, quiet, math.ceil(km / PIECE_KM), first))
-    found: dict[str, dict[str, list[Any]]] = {
-        name: {"accident": [], "quiet": [], "drive": []} for name in CLASSES
-    }
+    found: dict[str, dict[str, list[Any]]] = {name: {"accident": [], "quiet": [], "drive": []} for name in CLASSES}
     for done, (job, records) in enumerate(zip(jobs, in_processes(_judge, jobs), strict=True)):
         tell(done + 1, len(jobs))
         found[job.vehicle][job.form].extend(records)
@@ -102,9 +100,15 @@ def _figures(
 ) -> dict[str, Any]:
     """Falls have no blow whose change of velocity could be told: they are found, or not, and told as lying."""
     falls = [one for one in accident if one["class"] in FALLS]
+    blows = [one for one in accident if one["class"] not in FALLS]
     km = sum(one["km"] for one in drive)
     alarms = [(one["seed"], *alarm) for one in drive for alarm in one["alarms"]]
-    return accident_figures([one for one in accident if one["class"] not in FALLS]) | {
+    found = accident_figures(blows)
+    told = [one for one in blows if one["found"]]
+    found["delta_v_unclipped"]["outside"] = share([_off(one) for one in told if not one["clipped"]])
+    found["direction"]["outside"] = share([one["direction_error_deg"] > 15.0 for one in told])
+    found["delay"]["late_share"] = share([one["delay_s"] > 0.150 for one in told])
+    return found | {
         "falls": share([one["found"] for one in falls]),
         "missed": [(one["class"], one["seed"], round(one["delta_v_mps"], 2)) for one in accident if not one["found"]],
         "quiet": quiet_figures(quiet),
@@ -112,8 +116,11 @@ def _figures(
         "km": km,
         "false_alarms": rate(sum(stands for _, _, stands in alarms), km),
         "withdrawn": rate(sum(not stands for _, _, stands in alarms), km),
-        "shown": [alarm for alarm in alarms if alarm[2]],
+        "shown": [(seed, t_ns) for seed, t_ns, stands in alarms if stands],
         "long": quiet_figures([one for piece in drive for one in piece["quiet"]]),
     }
 
 
+def _off(one: dict[str, Any]) -> bool:
+    """Whether a change of velocity is told off by more than 10 % and 1 km/h."""
+    return bool(abs(one["delta_v_error_mps"]) > max(0.1 * one["delta_v_mps"], 1.0 / 3.6))

@@ -240,7 +240,7 @@ def test_recorded_shocks_and_trips_are_all_given():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--accidents", "--part", "moon"], "expected one of seed1, corpus, errors, long, recordings"),
+        (["--accidents", "--part", "moon"], "expected one of seed1, corpus, errors, classes, long, recordings"),
         (["--accidents", "--km", "0"], "--km 0: expected above 0"),
         (["--accidents", "--part", "recordings", "--recordings", "/nowhere"], "no 'crash_nhtsa_10146"),
         (["--km", "10"], "--km is for --accidents"),

@@ -105,7 +105,7 @@ def _shaking(t_ns: TimeArray, x: FloatArray, flags: Flags, start_ns: int, last_n
 
 def _abruptness(felt: FloatArray) -> float:
     """Larger of the samples just before and after those above 0.3 of the peak, over the peak."""
-    loud = np.flatnonzero(felt > 0.3 * np.max(felt))
+    loud = np.flatnonzero(felt >= 0.3 * np.max(felt))  # never none, also where nothing is felt
     if loud[0] == 0 or loud[-1] == len(felt) - 1:  # it goes on beyond what was looked at
         return 1.0
     beside = felt[[loud[0] - 1, loud[-1] + 1]]

@@ -34,8 +34,8 @@ PROFILES: Final = MappingProxyType(
             # its box. Choices.
             trigger=replace(_CAR.trigger, tyre_mps2=11.5, tilt_deg=65.0, margin_mps=0.5, lean_deg=20.0, fall_s=0.16),
             rollover=replace(_CAR.rollover, tracks=1),
-            # It is turned and lifted by what would only push a car, its fork gives way at once, and who is struck seldom
-            # rides on as fast as before. Choices.
+            # It is turned and lifted by what would only push a car, its fork gives way at once, and who is struck
+            # seldom rides on as fast as before. Choices.
             judgement=replace(_CAR.judgement, lifted_from=0.9, short_s=0.05, drove_on=5.0),
             # It rolls by 2 rad/s into its bends.
             naming=replace(_CAR.naming, loose_radps=3.5),

@@ -41,6 +41,16 @@ class LevelThresholds(Tunables):
         0.3, unit="s", low=0.05, high=2.0, source="choice: brakes build up within it, a crash pulse is over"
     )
     rough_s: float = tunable(1.0, unit="s", low=0.1, high=10.0, source="choice: a car's length of road at walking pace")
+    parks_s: float = tunable(
+        5.0,
+        unit="s",
+        low=0.0,
+        high=60.0,
+        source="choice: so long after it stopped, a car has come to rest on its springs",
+    )
+    slope_deg: float = tunable(
+        6.0, unit="deg", low=0.0, high=20.0, source="choice, 10 %: streets that cars are parked on are hardly steeper"
+    )
 
 
 @dataclass(frozen=True, slots=True)

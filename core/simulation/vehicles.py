@@ -13,7 +13,6 @@ from core.measurements import FloatArray
 from core.simulation.ride import Car
 from core.tunables import Tunables, tunable
 
-
 _CAR_BODY: Final = Car()
 
 

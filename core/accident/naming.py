@@ -38,7 +38,7 @@ class NamingThresholds(Tunables):
     )
     steady_mps2: float = tunable(2.5, unit="m/s2", low=0.5, high=10.0, source="choice: quarter of a g throughout")
     rough_mps2: float = tunable(
-        3.5, unit="m/s2", low=1.0, high=20.0, source="choice: rms of cobbles and gravel, ISO 8608 classes D and E"
+        3.0, unit="m/s2", low=1.0, high=20.0, source="choice: rms of cobbles and gravel, ISO 8608 classes D and E"
     )
     train_shocks: int = tunable(
         6, unit="1", low=3, high=50, source="choice: two axles over two rails make four shocks, cobbles no end"

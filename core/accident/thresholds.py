@@ -282,6 +282,9 @@ class JudgementThresholds(Tunables):
     told_slope: float = tunable(
         1.75, unit="1", low=0.1, high=10.0, source="fitted to the corpus' accidents and 25 000 km of long drives"
     )
+    told_shift: float = tunable(
+        0.0, unit="1", low=-10.0, high=10.0, source="fitted beside the slope: bench --accidents --part reliability"
+    )
     beyond_mps: float = tunable(
         0.8, unit="m/s", low=0.05, high=5.0, source="choice: where the logarithm of the change beyond reach is zero"
     )

@@ -32,6 +32,11 @@ IN_TIME_S: Final = 0.15
 """Within what an accident is to be suspected, s (issue 5)."""
 IGNITION_KNOWN: Final = 0.7
 """Share of boxes that are told whether the ignition is on. A choice."""
+WEAK_CLASSES: Final = (
+    "frontal", "rear", "side", "oblique", "sideswipe", "low_speed", "struck_standing", "parked_hit", "hit_and_run",
+)  # fmt: skip
+WEAK_MPS: Final = (0.8, 1.8)
+"""Changes of velocity of weak accidents, m/s: below those of the corpus."""
 ROAD_SHAKE_MPS2: Final = (0.25, 1.6)
 """Vertical shaking by the road at 14 m/s, sd: smooth asphalt to a worn-out road, as shocks_road_anomalies_2017 has them
 (medians 0.5 regular, 0.9 worn out; four fifths of it body bounce below 6 Hz)."""
@@ -80,6 +85,15 @@ def accident_case(
     if chosen is not CAR:
         collision = felt_by(collision, chosen, rng)
     return shown(collision, rng, seed, some_box(rng, full_scale_g, rate_hz), vehicle=chosen)
+
+
+def weak_case(name: str, seed: int) -> AccidentCase:
+    """The ``seed``-th accident of one of ``WEAK_CLASSES``, of ``WEAK_MPS``: hardly to be told from what is none."""
+    rng = np.random.default_rng([seed, 500 + WEAK_CLASSES.index(name)])
+    collision = CLASSES[name](rng)
+    (blow,) = collision.blows
+    weak = replace(blow, delta_v_mps=float(rng.uniform(*WEAK_MPS)))
+    return shown(replace(collision, blows=(weak,)), rng, seed, some_box(rng))
 
 
 def _of(vehicle: str) -> list[int]:

@@ -17,6 +17,7 @@ def tables(found: Mapping[str, Any]) -> str:
         "errors": _errors,
         "long": _long,
         "classes": _classes,
+        "reliability": _reliability,
         "recordings": _recordings,
         "left_out": _left_out,
         "targets": verdicts,
@@ -113,6 +114,21 @@ def _reliable(found: Mapping[str, Any]) -> Iterable[str]:
             edges = f"{part['from']:g} to {part['to']:g}"
             rows.append((edges, str(part["count"]), f"{part['said']:.3f}", _share(part["accidents"])))
         yield from aligned(rows)
+
+
+def _reliability(found: Mapping[str, Any]) -> Iterable[str]:
+    counts = ", ".join(f"{count} of {form}" for form, count in found["from"].items())
+    yield f"what was told of cases in which little is plain ({counts}): fitted on even seeds, shown on odd ones"
+    for key, text in (("first", "at once"), ("last", "in the end")):
+        one = found[key]
+        fit = one["fit"]
+        yield (
+            f"  {text}: {one['count']} shown, {one['middling']} between 0.1 and 0.9; Brier score"
+            f" {one['brier']:.3f}, expected calibration error {one['ece']:.3f}; the other half asks for a slope of"
+            f" {fit['slope']:.2f} (sd {fit['slope_sd']:.2f}) and a shift of"
+            f" {fit['shift']:.2f} (sd {fit['shift_sd']:.2f})"
+        )
+    yield from _reliable(found)
 
 
 def _named(quiet: Mapping[str, Any]) -> Iterable[str]:

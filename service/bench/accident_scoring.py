@@ -110,11 +110,9 @@ def accident_record(
     last_ns = t_ns + round(1e9 * (truth.impacts[-1]["t_s"] - truth.t_s))
     mine = [one for one in told if one.stands and t_ns - BEFORE_NS <= one.first.t_ns <= last_ns + AFTER_NS]
     probabilities = [(one.first.confidence, one.last.confidence, True) for one in mine]
-    probabilities += [
-        (one.probability, one.probability, True)
-        for one in candidates
-        if not mine and t_ns - BEFORE_NS <= one.t_ns <= last_ns + AFTER_NS
-    ][:1]
+    if not mine:
+        near = [one.probability for one in candidates if t_ns - BEFORE_NS <= one.t_ns <= last_ns + AFTER_NS]
+        probabilities += [(likeliest, likeliest, True) for likeliest in sorted(near)[-1:]]
     record: dict[str, Any] = {
         "class": truth.name,
         "kind": truth.kind,

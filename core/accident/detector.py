@@ -138,6 +138,8 @@ class ImpactDetector:
             if likely and not same:
                 self._told_ns = int(registers[trigger.START])
                 registers[trigger.SEEN_EARLY] = trigger.TOLD
+                # A converter that hangs looks like the plainest of blows until it lets go.
+                impact = replace(impact, confidence=min(impact.confidence, limits.judgement.told_most))
                 self._begin(impact, odds, row, found, self._begun(judged, row))
             return
         if likely:

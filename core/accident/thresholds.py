@@ -283,7 +283,14 @@ class JudgementThresholds(Tunables):
         1.75, unit="1", low=0.1, high=10.0, source="fitted to the corpus' accidents and 25 000 km of long drives"
     )
     told_shift: float = tunable(
-        0.0, unit="1", low=-10.0, high=10.0, source="fitted beside the slope: bench --accidents --part reliability"
+        0.0, unit="1", low=-10.0, high=10.0, source="choice: the line that bench --accidents --part reliability fits"
+    )
+    told_most: float = tunable(
+        0.9,
+        unit="1",
+        low=0.5,
+        high=1.0,
+        source="bench --accidents --part reliability: of the plainest, told before they are over, 0.67 to 0.9 hold",
     )
     beyond_mps: float = tunable(
         0.8, unit="m/s", low=0.05, high=5.0, source="choice: where the logarithm of the change beyond reach is zero"

@@ -124,9 +124,8 @@ def _reliability(found: Mapping[str, Any]) -> Iterable[str]:
         fit = one["fit"]
         yield (
             f"  {text}: {one['count']} shown, {one['middling']} between 0.1 and 0.9; Brier score"
-            f" {one['brier']:.3f}, expected calibration error {one['ece']:.3f}; the other half asks for a slope of"
-            f" {fit['slope']:.2f} (sd {fit['slope_sd']:.2f}) and a shift of"
-            f" {fit['shift']:.2f} (sd {fit['shift_sd']:.2f})"
+            f" {one['brier']:.4f}, expected calibration error {one['ece']:.4f}; the other half asks for a slope of"
+            f" {fit['slope']:.2f} and a shift of {fit['shift']:.2f}"
         )
     yield from _reliable(found)
 

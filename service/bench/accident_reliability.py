@@ -1,4 +1,4 @@
-"""Whether what is said with 90 % is so in 90 %: fitted on half of some cases in which little is plain, shown on the other.
+"""Whether what is said with 90 % is so in 90 %: fitted on half of cases in which little is plain, shown on the other.
 
 Weak accidents and ordinary ones, and the candidates of drives crowded with what is none, weighed as they occur."""
 

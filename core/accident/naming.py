@@ -51,11 +51,11 @@ class NamingThresholds(Tunables):
         source="simulated, dense long drives: humps and holes repeat less after 1.435 m",
     )
     rises: float = tunable(
-        0.12,
+        0.02,
         unit="1",
         low=0.0,
         high=1.0,
-        source="shocks_road_anomalies_2017: 187 of 200 bumps lift a car first, 86 of 100 potholes let it fall first",
+        source="shocks_road_anomalies_2017: 172 of 200 bumps lift a car first by more, and 12 of 100 potholes",
     )
     hole_m: float = tunable(
         1.1, unit="m", low=0.1, high=10.0, source="simulated: an edge's step is over sooner; holes let a car swing"

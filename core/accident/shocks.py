@@ -81,7 +81,7 @@ def read_shock(
         abrupt=_abruptness(largest),
         clipping_s=float(np.max(x[:, CLIP_S])),
         heave_s=heave_s,
-        rises=_rises(around_ns, around_x[:, A_Z]),
+        rises=rises(around_ns, around_x[:, A_Z]),
         gauge=_repeats(around_ns, around_x[:, A_Z], GAUGE_M, float(x[0, SPEED])),
         uneven=_rms(x[:, ROLL_RATE]) / max(_rms(x[:, PITCH_RATE]), 1e-6),
         shaken_s=shaken_s,
@@ -116,7 +116,7 @@ def _shaken_s(t_ns: TimeArray, z: FloatArray) -> float:
     return float(t_ns[loud[-1]] - t_ns[loud[0]]) * 1e-9
 
 
-def _rises(t_ns: TimeArray, z: FloatArray) -> float:
+def rises(t_ns: TimeArray, z: FloatArray) -> float:
     """Share of the vertical change of velocity that is upwards before it is downwards; negative where it is not."""
     begin = int(t_ns[np.argmax(np.abs(z) >= 0.35 * np.max(np.abs(z)))])
     rows = (t_ns >= begin - ONSET_NS) & (t_ns <= begin + SWING_NS)

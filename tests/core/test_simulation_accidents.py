@@ -230,7 +230,8 @@ def test_each_disturbance_is_finite_bounded_and_starts_quietly(vehicle, kind):
         assert 0.0 <= one.hardness <= 1.0
         assert np.abs(one.rpy_rad[0]).max() < 0.01
         assert one.speed_mps.min() >= 0.0
-        limit = 400.0 * G if kind in (NonAccident.BOX_DROPPED, NonAccident.BOX_KNOCKED) else 12.0 * G
+        struck = kind in (NonAccident.BOX_DROPPED, NonAccident.BOX_KNOCKED)
+        limit = 400.0 * G if struck else 25.0 * G if kind is NonAccident.FALL_AT_REST else 12.0 * G
         assert np.abs(one.accel_b).max() < limit
 
 

@@ -283,7 +283,11 @@ class JudgementThresholds(Tunables):
         1.75, unit="1", low=0.1, high=10.0, source="fitted to the corpus' accidents and 25 000 km of long drives"
     )
     told_shift: float = tunable(
-        0.0, unit="1", low=-10.0, high=10.0, source="choice: the line that bench --accidents --part reliability fits"
+        0.0,
+        unit="1",
+        low=-10.0,
+        high=10.0,
+        source="choice: none is needed; bench --accidents --part reliability fits one",
     )
     told_most: float = tunable(
         0.9,

@@ -16,7 +16,7 @@ from core.accident.clipping import Whole
 from core.accident.events import Candidate, Findings, Impact, Kind, Severity, Status, VehicleMotion
 from core.accident.impacts import belonging, deployed, felt, refined
 from core.accident.judgement import AIRBAG_DEPLOYED, Aftermath, confidence, followed, probability, reasons
-from core.accident.level import HEADING_COS, HEADING_SIN, YAW_RATE, LevelMotion
+from core.accident.level import HEADING_COS, HEADING_SIN, ROLL_RATE, YAW_RATE, LevelMotion
 from core.accident.momentum import MOST_BLOWS, Momentum, begun, checked, settled, struck
 from core.accident.open_accident import Open, Weak
 from core.accident.pulse import ANY, Pulse, hangs, read_pulse, spin_from
@@ -138,6 +138,8 @@ class ImpactDetector:
             if likely and not same:
                 self._told_ns = int(registers[trigger.START])
                 registers[trigger.SEEN_EARLY] = trigger.TOLD
+                # A converter that hangs looks like the plainest of blows until it lets go.
+                impact = replace(impact, confidence=min(impact.confidence, limits.judgement.told_most))
                 self._begin(impact, odds, row, found, self._begun(judged, row))
             return
         if likely:
@@ -187,9 +189,14 @@ class ImpactDetector:
         return blow if blow.beyond_mps > 0.0 else judged
 
     def _spins(self, pulse: Pulse) -> bool:
-        """Whether what would be a further blow is no more than the spin after the one before does to the box."""
-        limits, rate = self._limits.pulse, abs(float(self._level.x[pulse.first, YAW_RATE]))
-        return rate > limits.spin_radps and pulse.beyond_mps < rate * rate * limits.arm_m * pulse.felt_s
+        """Whether what would be a further blow is no more than what the spin or fall after the last does to the box."""
+        limits, x = self._limits, self._level.x
+        if limits.rollover.tracks == 1:  # what was struck falls over, and strikes the ground
+            falls = float(np.max(np.abs(x[pulse.first : pulse.last + 1, ROLL_RATE])))
+            if falls > limits.rollover.topples_radps and pulse.beyond_mps < falls * limits.pulse.arm_m:
+                return True
+        rate = abs(float(x[pulse.first, YAW_RATE]))
+        return rate > limits.pulse.spin_radps and pulse.beyond_mps < rate * rate * limits.pulse.arm_m * pulse.felt_s
 
     def _begun(self, pulse: Pulse, row: int) -> Momentum:
         level = self._level

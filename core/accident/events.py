@@ -36,7 +36,10 @@ class Status(StrEnum):
 
 
 class NoAccident(StrEnum):
-    """What feels like an accident and is none; ``UNEXPLAINED`` fits no class and is too weak to be told."""
+    """What feels like an accident and is none; ``UNEXPLAINED`` fits no class and is too weak to be told.
+
+    ``FELL_OVER`` is a motorcycle that fell where it stood.
+    """
 
     POTHOLE = "pothole"
     SPEED_BUMP = "speed_bump"
@@ -52,6 +55,7 @@ class NoAccident(StrEnum):
     BOX_DROPPED = "box_dropped"
     SENSOR_GLITCH = "sensor_glitch"
     TRAILER_COUPLING = "trailer_coupling"
+    FELL_OVER = "fell_over"
     UNEXPLAINED = "unexplained"
 
 

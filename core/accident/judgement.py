@@ -149,7 +149,7 @@ def probability(odds: float) -> float:
 def confidence(odds: float, limits: JudgementThresholds) -> float:
     """The probability that is told: the log-odds' weights are summed as if they were independent, so that they have to
     be stretched to hold (Platt 1999)."""
-    return probability(limits.told_slope * odds)
+    return probability(limits.told_slope * odds + limits.told_shift)
 
 
 def reasons(after: Aftermath, watched: AftermathThresholds, *, clipped: bool, rollover: bool) -> tuple[str, ...]:

@@ -89,6 +89,8 @@ class LevelMotion:
                     limits.standing_mps,
                     limits.slow_s,
                     limits.rough_s,
+                    limits.parks_s,
+                    math.cos(math.radians(limits.slope_deg)),
                 ]
             ),
             self._down_b,
@@ -144,11 +146,12 @@ def _extend(
 ) -> int:
     """Fill rows from ``row`` on; return the row after the last.
 
-    ``downs`` (2, 3) are the carried vertical and where it usually is, kept up. ``context`` (4,): the time over which
-    the usual one follows, s, below which speed a vehicle stands, m/s, and the times of the two means, s.
+    ``downs`` (2, 3) are the carried vertical and where it usually is, kept up. ``context`` (6,): the time over which
+    the usual one follows, s, below which speed a vehicle stands, m/s, the times of the two means, s, how long the usual
+    one follows at once after a vehicle stopped, s, and up to which cosine.
     """
     down, usual = downs[0], downs[1]
-    usual_s, standing_mps, slow_s, rough_s = context
+    usual_s, standing_mps, slow_s, rough_s, parks_s, slope_cos = context
     for i in range(in_t_ns.shape[0]):
         fx, fy, fz = f_b[i, 0], f_b[i, 1], f_b[i, 2]
         p, q, r = omega_b[i, 0], omega_b[i, 1], omega_b[i, 2]
@@ -218,10 +221,11 @@ def _extend(
         if not math.isfinite(usual[0]):
             usual[0], usual[1], usual[2] = dx, dy, dz
         x[row, UPRIGHT] = usual[0] * dx + usual[1] * dy + usual[2] * dz
-        # While it stands, a car that is lifted or carried leans against how it stood.
+        # While it stands, a car that is lifted or carried leans against how it stood: on a slope, it may be.
         stands = speed_mps[i] < standing_mps
-        if x[row, UPRIGHT] > 0.9 and abs(force - gravity_mps2) < band_mps2 and not stands:
-            share = step / (usual_s + step)
+        parks = stands and not first and x[row - 1, REST_S] < parks_s and x[row, UPRIGHT] > slope_cos
+        if x[row, UPRIGHT] > 0.9 and abs(force - gravity_mps2) < band_mps2 and (parks or not stands):
+            share = step / ((1.0 if parks else usual_s) + step)
             ex = usual[0] + share * (dx - usual[0])
             ey = usual[1] + share * (dy - usual[1])
             ez = usual[2] + share * (dz - usual[2])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
@@ -37,6 +38,12 @@ AROUND_NS = 150_000_000
 SHAKING_NS = 450_000_000
 """How far around a shock its shaking is looked at, ns: a car at 50 km/h takes both axles over two tracks. A choice."""
 
+GAUGE_M: Final = 1.435
+"""Between the rails of a track, m: standard gauge."""
+ONSET_NS: Final = 120_000_000
+SWING_NS: Final = 350_000_000
+"""From before to after a shock's first third, ns: what its first swing lies within, both axles at 30 km/h. A choice."""
+
 
 def read_shock(
     t_ns: TimeArray,
@@ -56,7 +63,8 @@ def read_shock(
     gaps = np.flatnonzero(flags[first:end] & GAP)
     if len(gaps):  # nothing is known across
         first += int(gaps[-1]) if first + int(gaps[-1]) < end - 1 else 0
-    shaken_s, crest = _shaking(t_ns, x, flags, start_ns, last_ns)
+    around_ns, around_x = _around(t_ns, x, flags, start_ns, last_ns)
+    shaken_s = _shaken_s(around_ns, around_x[:, A_Z])
     x = x[first:end]
     vertical, horizontal = np.abs(x[:, A_Z]), np.hypot(x[:, A_X], x[:, A_Y])
     largest = np.maximum(vertical, horizontal)
@@ -73,8 +81,10 @@ def read_shock(
         abrupt=_abruptness(largest),
         clipping_s=float(np.max(x[:, CLIP_S])),
         heave_s=heave_s,
+        rises=rises(around_ns, around_x[:, A_Z]),
+        gauge=_repeats(around_ns, around_x[:, A_Z], GAUGE_M, float(x[0, SPEED])),
+        uneven=_rms(x[:, ROLL_RATE]) / max(_rms(x[:, PITCH_RATE]), 1e-6),
         shaken_s=shaken_s,
-        crest=crest,
         sway_radps=float(np.max(np.abs(x[:, ROLL_RATE]))),
         nod_radps=float(np.max(np.abs(x[:, PITCH_RATE]))),
         turn_radps=float(np.max(np.abs(x[:, YAW_RATE]))),
@@ -91,21 +101,51 @@ def read_shock(
     return shock, float(np.ptp(x[:, V_Z])), change, (last_ns - start_ns) * 1e-9
 
 
-def _shaking(t_ns: TimeArray, x: FloatArray, flags: Flags, start_ns: int, last_ns: int) -> tuple[float, float]:
-    """For how long the vertical shakes by more than a third of its peak (s), and that peak over the rms."""
+def _around(t_ns: TimeArray, x: FloatArray, flags: Flags, start_ns: int, last_ns: int) -> tuple[TimeArray, FloatArray]:
+    """Times and rows so far around a shock as its shaking is looked at, since the series broke off last."""
     first, end = (int(row) for row in np.searchsorted(t_ns, [start_ns - SHAKING_NS, last_ns + SHAKING_NS + 1]))
     gaps = np.flatnonzero(flags[first:end] & GAP)
     if len(gaps):
         first = min(first + int(gaps[-1]), end - 1)
-    z = np.abs(x[first:end, A_Z])
-    peak = float(np.max(z))
-    loud = first + np.flatnonzero(z >= peak / 3.0)  # never none, also where nothing shakes
-    return float(t_ns[loud[-1]] - t_ns[loud[0]]) * 1e-9, peak / max(math.sqrt(float(np.mean(z * z))), 1e-9)
+    return t_ns[first:end], x[first:end]
+
+
+def _shaken_s(t_ns: TimeArray, z: FloatArray) -> float:
+    """For how long it shakes by more than a third of its peak, s."""
+    loud = np.flatnonzero(np.abs(z) >= np.max(np.abs(z)) / 3.0)  # never none, also where nothing shakes
+    return float(t_ns[loud[-1]] - t_ns[loud[0]]) * 1e-9
+
+
+def rises(t_ns: TimeArray, z: FloatArray) -> float:
+    """Share of the vertical change of velocity that is upwards before it is downwards; negative where it is not."""
+    begin = int(t_ns[np.argmax(np.abs(z) >= 0.35 * np.max(np.abs(z)))])
+    rows = (t_ns >= begin - ONSET_NS) & (t_ns <= begin + SWING_NS)
+    t_s, z = (t_ns[rows] - begin) * 1e-9, z[rows]
+    v = np.concatenate([[0.0], np.cumsum(0.5 * (z[1:] + z[:-1]) * np.diff(t_s))])  # down
+    up, down = int(np.argmin(v)), int(np.argmax(v))
+    share = float(-v[up] / max(v[down] - v[up], 1e-9))
+    return share if up < down else share - 1.0
+
+
+def _repeats(t_ns: TimeArray, z: FloatArray, way_m: float, speed_mps: float) -> float:
+    """Autocorrelation of an acceleration after a way at a speed, -1..1; 0 where that is unknown or too long a time."""
+    if not speed_mps > 0.0:
+        return 0.0
+    lag_s, span_s = way_m / speed_mps, float(t_ns[-1] - t_ns[0]) * 1e-9
+    if lag_s > 0.5 * span_s:
+        return 0.0
+    t_s, even = (t_ns - t_ns[0]) * 1e-9, z - np.mean(z)
+    later = np.interp(t_s[t_s <= span_s - lag_s] + lag_s, t_s, even)
+    return float(np.sum(even[: later.size] * later) / max(np.sum(even * even), 1e-9))
+
+
+def _rms(values: FloatArray) -> float:
+    return math.sqrt(float(np.mean(values * values)))
 
 
 def _abruptness(felt: FloatArray) -> float:
     """Larger of the samples just before and after those above 0.3 of the peak, over the peak."""
-    loud = np.flatnonzero(felt > 0.3 * np.max(felt))
+    loud = np.flatnonzero(felt >= 0.3 * np.max(felt))  # never none, also where nothing is felt
     if loud[0] == 0 or loud[-1] == len(felt) - 1:  # it goes on beyond what was looked at
         return 1.0
     beside = felt[[loud[0] - 1, loud[-1] + 1]]

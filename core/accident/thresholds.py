@@ -41,6 +41,16 @@ class LevelThresholds(Tunables):
         0.3, unit="s", low=0.05, high=2.0, source="choice: brakes build up within it, a crash pulse is over"
     )
     rough_s: float = tunable(1.0, unit="s", low=0.1, high=10.0, source="choice: a car's length of road at walking pace")
+    parks_s: float = tunable(
+        5.0,
+        unit="s",
+        low=0.0,
+        high=60.0,
+        source="choice: so long after it stopped, a car has come to rest on its springs",
+    )
+    slope_deg: float = tunable(
+        6.0, unit="deg", low=0.0, high=20.0, source="choice, 10 %: streets that cars are parked on are hardly steeper"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,6 +282,20 @@ class JudgementThresholds(Tunables):
     told_slope: float = tunable(
         1.75, unit="1", low=0.1, high=10.0, source="fitted to the corpus' accidents and 25 000 km of long drives"
     )
+    told_shift: float = tunable(
+        0.0,
+        unit="1",
+        low=-10.0,
+        high=10.0,
+        source="choice: none is needed; bench --accidents --part reliability fits one",
+    )
+    told_most: float = tunable(
+        0.9,
+        unit="1",
+        low=0.5,
+        high=1.0,
+        source="bench --accidents --part reliability: of the plainest, told before they are over, 0.67 to 0.9 hold",
+    )
     beyond_mps: float = tunable(
         0.8, unit="m/s", low=0.05, high=5.0, source="choice: where the logarithm of the change beyond reach is zero"
     )
@@ -420,6 +444,12 @@ class RolloverThresholds(Tunables):
         low=0.2,
         high=5.0,
         source="choice: from half of tilt_deg to it at 20 deg/s, slower than any rollover",
+    )
+    topples_radps: float = tunable(
+        1.0, unit="rad/s", low=0.1, high=10.0, source="choice: 80 degrees within a second or so, of what has one track"
+    )
+    tracks: int = tunable(
+        2, unit="1", low=1, high=2, source="what stands on one track falls over where it stands; a car's box comes off"
     )
 
 

@@ -11,8 +11,9 @@ from core.accident.events import Candidate, Impact, NoAccident
 from core.accident.impacts import overturned
 from core.accident.judgement import confidence
 from core.accident.level import SPEED, UPRIGHT, LevelMotion
+from core.accident.naming import Shock
 from core.accident.shocks import read_shock
-from core.accident.thresholds import DetectorThresholds
+from core.accident.thresholds import DetectorThresholds, RolloverThresholds
 from core.measurements import TimeArray
 
 
@@ -32,16 +33,18 @@ def lying(
         towed=towed,
     )  # fmt: skip
     rate = math.sqrt(shock.sway_radps**2 + shock.nod_radps**2 + shock.turn_radps**2)
-    # Cars tip over within a second; what crept there, from half as far, was a box that had come to lie so.
+    # Cars tip over within a second; what crept there, from half as far, was a box that had come to lie so. Motorcycles
+    # lean as far in bends.
     half_way = math.cos(math.radians(0.5 * limits.trigger.tilt_deg))
-    crept = level.x[np.searchsorted(level.t_ns, since_ns - round(rollover.tipped_s * 1e9)), UPRIGHT] < half_way
+    lay = level.x[np.searchsorted(level.t_ns, since_ns - round(rollover.tipped_s * 1e9)), UPRIGHT] < half_way
+    crept = lay and rollover.tracks > 1
     across = shock.nod_radps > max(rollover.tumbles_radps, shock.sway_radps)
     tumbles = across or rate > limits.judgement.rotation_radps
     if shock.stood or shock.fell or crept or tumbles:
         return Candidate(
             t_ns=since_ns,
             decided_t_ns=now,
-            reason=NoAccident.BOX_DROPPED if shock.fell else NoAccident.BOX_KNOCKED,
+            reason=_reason(shock, rollover),
             probability=confidence(rollover.loose_odds, limits.judgement),
             delta_v_mps=delta_v_mps,
             vertical_mps=swing_mps,
@@ -53,3 +56,10 @@ def lying(
     felt = delta_v_mps, shock.horizontal_mps2
     tilted = int(np.searchsorted(level.t_ns, since_ns))
     return overturned(level, tilted, row, detector, rollover.odds, felt, limits)
+
+
+def _reason(shock: Shock, rollover: RolloverThresholds) -> NoAccident:
+    """What lies there and is no accident."""
+    if shock.fell:
+        return NoAccident.BOX_DROPPED
+    return NoAccident.FELL_OVER if shock.stood and rollover.tracks == 1 else NoAccident.BOX_KNOCKED

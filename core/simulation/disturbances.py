@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 from core.measurements import FloatArray
 from core.simulation.body_motion import resonator
 from core.simulation.ride import FINE_HZ, GRID_M, Car, ride
+from core.simulation.vehicles import CAR, Vehicle
 
 
 class NonAccident(StrEnum):
@@ -36,6 +37,12 @@ class NonAccident(StrEnum):
     FERRY = "ferry"
     CAR_WASH = "car_wash"
     TRAILER_COUPLING = "trailer_coupling"
+    TIPPING_BODY = "tipping_body"
+    KNEELING = "kneeling"
+    WHEELIE = "wheelie"
+    STOPPIE = "stoppie"
+    FALL_AT_REST = "fall_at_rest"
+    SIDE_STAND = "side_stand"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +73,8 @@ class Disturbance:
         return self.speed_mps.size / FINE_HZ
 
 
-BOX_M: Final = np.array([0.9, 0.1, -0.25])
-"""A box under the dashboard, forward, right and down of the centre of gravity, m. A choice."""
+BOX_M: Final = CAR.box_m
+"""A box under a car's dashboard, forward, right and down of the centre of gravity, m."""
 
 
 def times_s(duration_s: float) -> FloatArray:
@@ -85,22 +92,23 @@ def between(low: float, high: float, share: float) -> float:
     return float(low * (high / low) ** share)
 
 
-def some_car(rng: np.random.Generator) -> Car:
-    """A car of some mass, with springs, dampers and tyres of its own."""
-    size = rng.uniform(0.8, 1.6)
-    return Car(
-        sprung_kg=1250.0 * size,
-        pitch_kgm2=1900.0 * size**1.3,
-        roll_kgm2=480.0 * size**1.3,
-        spring_npm=22000.0 * size * rng.uniform(0.8, 1.4),
-        damping_nspm=1700.0 * size * rng.uniform(0.7, 1.3),
-        tyre_npm=200000.0 * rng.uniform(0.9, 1.3),
-        travel_m=rng.uniform(0.05, 0.09),
-        wheel_radius_m=rng.uniform(0.28, 0.36),
+def some_body(rng: np.random.Generator, vehicle: Vehicle) -> Car:
+    """One of a class, of some mass, with springs, dampers and tyres of its own."""
+    size, body = rng.uniform(0.8, 1.6), vehicle.body
+    return replace(
+        body,
+        sprung_kg=body.sprung_kg * size,
+        pitch_kgm2=body.pitch_kgm2 * size**1.3,
+        roll_kgm2=body.roll_kgm2 * size**1.3,
+        spring_npm=body.spring_npm * size * rng.uniform(0.8, 1.4),
+        damping_nspm=body.damping_nspm * size * rng.uniform(0.7, 1.3),
+        tyre_npm=body.tyre_npm * rng.uniform(0.9, 1.3),
+        travel_m=rng.uniform(0.05, 0.09) * (body.travel_m / CAR.body.travel_m),
+        wheel_radius_m=rng.uniform(0.28, 0.36) * (body.wheel_radius_m / CAR.body.wheel_radius_m),
     )
 
 
-def structure(accel_b: FloatArray, rng: np.random.Generator) -> FloatArray:
+def structure(accel_b: FloatArray, rng: np.random.Generator, vehicle: Vehicle = CAR) -> FloatArray:
     """Acceleration with what panels and brackets add on the way to the box: (n, 3).
 
     Two modes a box, 12 to 25 and 25 to 70 Hz (choice: body bending, a bracket under the dashboard), each adding
@@ -111,6 +119,8 @@ def structure(accel_b: FloatArray, rng: np.random.Generator) -> FloatArray:
     for low_hz, high_hz in ((12.0, 25.0), (25.0, 70.0)):
         share = rng.uniform(0.2, 0.9, (1, 3))
         found += share * resonator(crossed, rng.uniform(low_hz, high_hz), rng.uniform(0.05, 0.15))
+    if vehicle.cab_share > 0.0:
+        found += vehicle.cab_share * resonator(crossed, rng.uniform(1.5, 4.0), rng.uniform(0.2, 0.35))
     return found
 
 
@@ -121,19 +131,20 @@ def over(
     speed_mps: float,
     rng: np.random.Generator,
     hard: float,
+    vehicle: Vehicle,
     settle_s: float = 1.5,
 ) -> Disturbance:
-    """Drive over a profile that ends level; ``settle_s`` more until the springs are quiet."""
+    """Drive over a profile that ends level; ``settle_s`` more until the springs are quiet. One track takes the left."""
     runout = np.full(math.ceil(settle_s * speed_mps / GRID_M), 1.0)
     left, right = (np.concatenate([profile, profile[-1] * runout]) for profile in (left_m, right_m))
-    found = ride(left, right, speed_mps, some_car(rng), BOX_M)
-    accel_b = structure(found[:, :3], rng)
+    found = ride(left, left if vehicle.leans else right, speed_mps, some_body(rng, vehicle), vehicle.box_m)
+    accel_b = structure(found[:, :3], rng, vehicle)
     rpy = np.column_stack([found[:, 3], found[:, 4], np.zeros(len(found))])
     fade = np.clip((len(found) - np.arange(len(found))) / (0.3 * FINE_HZ), 0.0, 1.0)[:, None]
     return Disturbance(kind, accel_b * fade, rpy * fade, np.full(len(found), speed_mps), hardness=hard)
 
 
-def pothole(rng: np.random.Generator, speed_mps: float) -> Disturbance:
+def pothole(rng: np.random.Generator, speed_mps: float, vehicle: Vehicle = CAR) -> Disturbance:
     """One hole or two, 2 to 15 cm deep, 0.3 to 3 m long, under one side or both, in a road that has sunk about them.
 
     Depth: FHWA's Distress Identification Manual calls 5 cm high severity; 15 cm is a choice for the worst. Real ones
@@ -151,10 +162,10 @@ def pothole(rng: np.random.Generator, speed_mps: float) -> Disturbance:
     sunk = -rng.uniform(0.0, 0.06) * np.sin(np.pi * x) ** 2
     sides = rng.integers(3)
     left, right = ((profile if sides in both else 0.0) + sunk for both in ((0, 1), (0, 2)))
-    return over(NonAccident.POTHOLE, left, right, speed_mps, rng, hard)
+    return over(NonAccident.POTHOLE, left, right, speed_mps, rng, hard, vehicle)
 
 
-def speed_bump(rng: np.random.Generator, speed_mps: float) -> Disturbance:
+def speed_bump(rng: np.random.Generator, speed_mps: float, vehicle: Vehicle = CAR) -> Disturbance:
     """A hump 5 to 12 cm high, 0.3 to 3.7 m long (UK Highways (Road Hump) Regulations 1999: 25-100 mm, 0.9 m and more;
     shorter ones in car parks)."""
     hard = hardness(rng)
@@ -167,10 +178,10 @@ def speed_bump(rng: np.random.Generator, speed_mps: float) -> Disturbance:
         hump = np.minimum(1.0, 5.0 * np.minimum(across, 1.0 - across))
     gap = np.zeros(round(0.6 / GRID_M))
     profile = np.concatenate([gap, height_m * hump, gap])
-    return over(NonAccident.SPEED_BUMP, profile, profile, speed_mps, rng, hard)
+    return over(NonAccident.SPEED_BUMP, profile, profile, speed_mps, rng, hard, vehicle)
 
 
-def kerb(rng: np.random.Generator, speed_mps: float) -> Disturbance:
+def kerb(rng: np.random.Generator, speed_mps: float, vehicle: Vehicle = CAR) -> Disturbance:
     """A kerb mounted and dropped off again, 4 to 16 cm, by one side or both (kerbs stand 10 to 15 cm; choice)."""
     hard = hardness(rng)
     height_m = between(0.04, 0.16, hard)
@@ -182,10 +193,10 @@ def kerb(rng: np.random.Generator, speed_mps: float) -> Disturbance:
     left, right = np.concatenate([profile, lag]), np.concatenate([lag, profile])
     if rng.random() < 0.5:  # one side stays on the road
         right = np.zeros_like(left)
-    return over(NonAccident.KERB, left, right, speed_mps, rng, hard)
+    return over(NonAccident.KERB, left, right, speed_mps, rng, hard, vehicle)
 
 
-def railway_crossing(rng: np.random.Generator, speed_mps: float) -> Disturbance:
+def railway_crossing(rng: np.random.Generator, speed_mps: float, vehicle: Vehicle = CAR) -> Disturbance:
     """Four rails or eight, each a gap of 7 to 10 cm beside a step of 0.5 to 4 cm, humped by up to 10 cm."""
     hard = hardness(rng)
     step_m = between(0.005, 0.04, hard)
@@ -199,10 +210,10 @@ def railway_crossing(rng: np.random.Generator, speed_mps: float) -> Disturbance:
             at = round((1.5 + 4.0 * track + rail) / GRID_M)
             profile[at : at + 7] += step_m * rng.uniform(0.4, 1.0)
             profile[at + 7 : at + 16] -= step_m * rng.uniform(0.0, 1.5)
-    return over(NonAccident.RAILWAY_CROSSING, profile, profile, speed_mps, rng, hard)
+    return over(NonAccident.RAILWAY_CROSSING, profile, profile, speed_mps, rng, hard, vehicle)
 
 
-def vibration(rng: np.random.Generator, speed_mps: float) -> Disturbance:
+def vibration(rng: np.random.Generator, speed_mps: float, vehicle: Vehicle = CAR) -> Disturbance:
     """A train of shaking 3 to 12 s long: cobbles, a rumble strip, gravel's waves, a worn road (ISO 8608, C to E)."""
     hard = hardness(rng)
     length_m = speed_mps * rng.uniform(3.0, 12.0)
@@ -225,7 +236,7 @@ def vibration(rng: np.random.Generator, speed_mps: float) -> Disturbance:
         sides.append(profile * np.minimum(1.0, np.minimum(x, x[-1] - x) / 0.5))
     if form == "rumble" and rng.random() < 0.7:
         sides[0] = np.zeros(k)
-    return over(NonAccident.VIBRATION, sides[0], sides[1], speed_mps, rng, hard)
+    return over(NonAccident.VIBRATION, sides[0], sides[1], speed_mps, rng, hard, vehicle)
 
 
 def rough_road(points: int, roughness_m3: float, rng: np.random.Generator) -> FloatArray:
@@ -237,7 +248,7 @@ def rough_road(points: int, roughness_m3: float, rng: np.random.Generator) -> Fl
     return np.asarray(lfilter([1.0], [1.0, -keep], math.sqrt(q * GRID_M) * rng.standard_normal(points)))
 
 
-def parking_bump(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
+def parking_bump(rng: np.random.Generator, _speed_mps: float = 0.0, vehicle: Vehicle = CAR) -> Disturbance:
     """The wheels run against a kerb stone at 0.2 to 1 m/s: the car stops within 0.1 to 0.3 s, rocks, rolls back.
 
     The force is that of tyres pressed at an edge: a half sine of the mass on springs of 1 to 3 Hz and more.
@@ -259,4 +270,4 @@ def parking_bump(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturban
     rpy = np.zeros((t.size, 3))
     rpy[:, 1] = -sign * math.radians(0.5 + hard) * rock
     speed = np.abs(speed_mps + np.cumsum(along) / FINE_HZ) * np.clip((3.5 - since) / 0.5, 0.0, 1.0)
-    return Disturbance(NonAccident.PARKING_BUMP, structure(accel, rng), rpy, speed, hardness=hard)
+    return Disturbance(NonAccident.PARKING_BUMP, structure(accel, rng, vehicle), rpy, speed, hardness=hard)

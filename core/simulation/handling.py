@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -16,17 +16,19 @@ from core.simulation import disturbances as road
 from core.simulation.body_motion import band_noise
 from core.simulation.disturbances import Disturbance, NonAccident, between, hardness, structure, times_s
 from core.simulation.ride import FINE_HZ
+from core.simulation.vehicles import CAR, Vehicle
 
 G: Final = STANDARD_GRAVITY_MPS2
 
 
-def emergency_braking(rng: np.random.Generator, speed_mps: float) -> Disturbance:
-    """Full braking to a stop, 6 to 10.8 m/s2 reached within 0.1 to 0.4 s, with ABS, dive, and the jerk back at the end.
+def emergency_braking(rng: np.random.Generator, speed_mps: float, vehicle: Vehicle = CAR) -> Disturbance:
+    """Full braking to a stop, a car's 6 to 10.8 m/s2 within 0.1 to 0.4 s, with ABS, dive, and the jerk back at the end.
 
     Dry asphalt allows 7 to 10 m/s2, sports tyres 1.1 g (Gillespie 1992, ch. 3; the hard end is a choice).
     """
     hard = hardness(rng)
-    limit, rise_s = between(6.0, 10.8, hard), rng.uniform(0.1, 0.4)
+    limit = between(vehicle.braking_least_mps2, vehicle.braking_most_mps2, hard)
+    rise_s = rng.uniform(vehicle.brakes_least_s, vehicle.brakes_most_s)
     braking_s = speed_mps / limit + rise_s / 2.0
     stop_s = 1.0 + braking_s
     t = times_s(stop_s + 3.0)
@@ -52,34 +54,48 @@ def emergency_braking(rng: np.random.Generator, speed_mps: float) -> Disturbance
     return Disturbance(NonAccident.EMERGENCY_BRAKING, accel, rpy, speed, hardness=hard)
 
 
-def hard_cornering(rng: np.random.Generator, speed_mps: float) -> Disturbance:
+def hard_cornering(rng: np.random.Generator, speed_mps: float, vehicle: Vehicle = CAR) -> Disturbance:
     """A bend at 5 to 10 m/s2 for 1 to 5 s, entered within 0.3 to 1 s; the body rolls 3 to 7 degrees a g (Gillespie)."""
     hard = hardness(rng)
-    limit, hold_s, rise_s = between(5.0, 10.0, hard), rng.uniform(1.0, 5.0), rng.uniform(0.3, 1.0)
+    limit = between(vehicle.side_least_mps2, vehicle.side_most_mps2, hard)
+    hold_s, rise_s = rng.uniform(1.0, 5.0), rng.uniform(0.3, 1.0)
     t = times_s(hold_s + 2 * rise_s + 1.0)
     edge = np.clip(np.minimum(t / rise_s, (hold_s + 2 * rise_s - t) / rise_s), 0.0, 1.0)
     side = rng.choice([-1.0, 1.0]) * limit * 0.5 * (1 - np.cos(np.pi * edge))
-    return _turning(NonAccident.HARD_CORNERING, side, speed_mps, rng, hard)
+    return _turning(NonAccident.HARD_CORNERING, side, speed_mps, rng, hard, vehicle)
 
 
-def swerve(rng: np.random.Generator, speed_mps: float) -> Disturbance:
+def swerve(rng: np.random.Generator, speed_mps: float, vehicle: Vehicle = CAR) -> Disturbance:
     """To one side and back at 4 to 9.5 m/s2, 0.4 to 0.9 Hz: an evasive manoeuvre, an elk test at its hard end."""
     hard = hardness(rng)
-    limit, period_s = between(4.0, 9.5, hard), 1.0 / rng.uniform(0.4, 0.9)
+    limit = between(0.8 * vehicle.side_least_mps2, 0.95 * vehicle.side_most_mps2, hard)
+    period_s = 1.0 / rng.uniform(0.4, 0.9)
     t = times_s(1.5 * period_s + 1.0)
     phase = np.clip(t / (1.5 * period_s), 0.0, 1.0)
     side = rng.choice([-1.0, 1.0]) * limit * np.sin(3 * np.pi * phase) * np.sin(np.pi * phase) ** 0.5
-    return _turning(NonAccident.SWERVE, side, speed_mps, rng, hard)
+    return _turning(NonAccident.SWERVE, side, speed_mps, rng, hard, vehicle)
+
+
+def in_box(rpy_rad: FloatArray, accel_level: FloatArray) -> FloatArray:
+    """Accelerations (n, 3) along the heading, right of it and down, in the axes of a box that rolls and pitches."""
+    roll, pitch = rpy_rad[:, 0], rpy_rad[:, 1]
+    forward, right, down = accel_level.T
+    along, lower = forward * np.cos(pitch) - down * np.sin(pitch), forward * np.sin(pitch) + down * np.cos(pitch)
+    cos, sin = np.cos(roll), np.sin(roll)
+    return np.column_stack([along, right * cos + lower * sin, lower * cos - right * sin])
 
 
 def _turning(
-    kind: NonAccident, side: FloatArray, speed_mps: float, rng: np.random.Generator, hard: float
+    kind: NonAccident, side: FloatArray, speed_mps: float, rng: np.random.Generator, hard: float, vehicle: Vehicle
 ) -> Disturbance:
     speed = np.full(side.size, max(speed_mps, 3.0))
     rpy = np.zeros((side.size, 3))
     rpy[:, 0] = -math.radians(rng.uniform(3.0, 7.0)) / G * side
     rpy[:, 2] = np.cumsum(side / speed) / FINE_HZ
     accel = np.column_stack([-rng.uniform(0.0, 0.2) * np.abs(side), side, np.zeros(side.size)])
+    if vehicle.leans:
+        rpy[:, 0] = np.arctan(side / G)
+        accel = in_box(rpy, accel)
     return Disturbance(kind, accel, rpy, speed, hardness=hard)
 
 
@@ -102,17 +118,17 @@ def _slam(kind: NonAccident, axis: FloatArray, rng: np.random.Generator) -> Dist
     return Disturbance(kind, accel, rpy, np.zeros(t.size), ignition=bool(rng.random() < 0.5), hardness=hard)
 
 
-def door_slam(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
+def door_slam(rng: np.random.Generator, _speed_mps: float = 0.0, _vehicle: Vehicle = CAR) -> Disturbance:
     """A door slammed while standing: mostly sideways."""
     return _slam(NonAccident.DOOR_SLAM, np.array([0.2, rng.choice([-1.0, 1.0]), 0.3]), rng)
 
 
-def boot_slam(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
+def boot_slam(rng: np.random.Generator, _speed_mps: float = 0.0, _vehicle: Vehicle = CAR) -> Disturbance:
     """A boot lid slammed while standing: downwards and ahead."""
     return _slam(NonAccident.BOOT_SLAM, np.array([0.6, 0.0, 1.0]), rng)
 
 
-def tow(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
+def tow(rng: np.random.Generator, _speed_mps: float = 0.0, vehicle: Vehicle = CAR) -> Disturbance:
     """Ignition off: jerks of a winch to 0.5 g, the car tilts by 5 to 22 degrees within a minute, comes level."""
     hard = hardness(rng)
     tilt, tilt_s, stand_s = math.radians(between(5.0, 22.0, hard)), rng.uniform(15.0, 60.0), rng.uniform(5.0, 30.0)
@@ -134,10 +150,12 @@ def tow(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
         end = min(begin + pulse.size + back.size, t.size)
         accel[begin + pulse.size : end] += np.outer(back[: end - begin - pulse.size], aim)
     accel += 0.05 * band_noise(t.size, 8.0, 0.5, rng)
-    return Disturbance(NonAccident.TOW, structure(accel, rng), rpy, np.zeros(t.size), ignition=False, hardness=hard)
+    return Disturbance(
+        NonAccident.TOW, structure(accel, rng, vehicle), rpy, np.zeros(t.size), ignition=False, hardness=hard
+    )
 
 
-def box_knocked(rng: np.random.Generator, speed_mps: float = 0.0) -> Disturbance:
+def box_knocked(rng: np.random.Generator, speed_mps: float = 0.0, _vehicle: Vehicle = CAR) -> Disturbance:
     """A knee, a hand or a shopping bag against the box: one to four blows of 2 to 15 ms, 1 to 30 g, that swing back."""
     hard = hardness(rng)
     t = times_s(3.0)
@@ -157,7 +175,7 @@ def box_knocked(rng: np.random.Generator, speed_mps: float = 0.0) -> Disturbance
     return Disturbance(NonAccident.BOX_KNOCKED, accel, rpy, np.full(t.size, speed_mps), hardness=hard)
 
 
-def box_dropped(rng: np.random.Generator, speed_mps: float = 0.0) -> Disturbance:
+def box_dropped(rng: np.random.Generator, speed_mps: float = 0.0, _vehicle: Vehicle = CAR) -> Disturbance:
     """The box comes off: a fall of 0.1 to 0.4 s, blows of 20 to 300 g and 3 to 12 ms, then it lies elsewhere."""
     hard = hardness(rng)
     fall_s = between(0.1, 0.4, hard)
@@ -186,7 +204,7 @@ def box_dropped(rng: np.random.Generator, speed_mps: float = 0.0) -> Disturbance
     return Disturbance(NonAccident.BOX_DROPPED, accel, rpy, np.full(t.size, speed_mps), hardness=hard)
 
 
-def ferry(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
+def ferry(rng: np.random.Generator, _speed_mps: float = 0.0, _vehicle: Vehicle = CAR) -> Disturbance:
     """Minutes on a ship, ignition off: roll of 1 to 8 degrees and pitch at 0.07 to 0.15 Hz, heave to 0.15 g."""
     hard = hardness(rng)
     t = times_s(rng.uniform(120.0, 300.0))
@@ -200,7 +218,7 @@ def ferry(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
     return Disturbance(NonAccident.FERRY, accel, rpy, np.zeros(t.size), ignition=False, hardness=hard)
 
 
-def car_wash(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
+def car_wash(rng: np.random.Generator, _speed_mps: float = 0.0, _vehicle: Vehicle = CAR) -> Disturbance:
     """A minute or two between brushes: bursts of shaking at 1 to 10 Hz, to 0.3 g, and a conveyor."""
     hard = hardness(rng)
     t = times_s(rng.uniform(60.0, 120.0))
@@ -216,7 +234,7 @@ def car_wash(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
     return Disturbance(NonAccident.CAR_WASH, accel, rpy, np.full(t.size, 0.2), bool(rng.random() < 0.5), hard)
 
 
-def trailer_coupling(rng: np.random.Generator, _speed_mps: float = 0.0) -> Disturbance:
+def trailer_coupling(rng: np.random.Generator, _speed_mps: float = 0.0, vehicle: Vehicle = CAR) -> Disturbance:
     """A trailer set on the hook or pushed against it: 0.05 to 0.5 m/s within 40 to 120 ms, a load drops, it rocks."""
     hard = hardness(rng)
     t = times_s(4.0)
@@ -229,10 +247,12 @@ def trailer_coupling(rng: np.random.Generator, _speed_mps: float = 0.0) -> Distu
     accel = np.column_stack([along + 0.4 * hard * rock, 0.1 * along * rng.standard_normal(), 1.5 * hard * rock])
     rpy = np.zeros((t.size, 3))
     rpy[:, 1] = math.radians(0.8 * hard) * rock
-    return Disturbance(NonAccident.TRAILER_COUPLING, structure(accel, rng), rpy, np.zeros(t.size), hardness=hard)
+    return Disturbance(
+        NonAccident.TRAILER_COUPLING, structure(accel, rng, vehicle), rpy, np.zeros(t.size), hardness=hard
+    )
 
 
-def sensor_glitch(rng: np.random.Generator, speed_mps: float = 0.0) -> Disturbance:
+def sensor_glitch(rng: np.random.Generator, speed_mps: float = 0.0, _vehicle: Vehicle = CAR) -> Disturbance:
     """Nothing moves: what goes wrong is in the converter (``core.simulation.box_model.spoilt``)."""
     n = round(2.0 * FINE_HZ)
     return Disturbance(
@@ -240,11 +260,17 @@ def sensor_glitch(rng: np.random.Generator, speed_mps: float = 0.0) -> Disturban
     )
 
 
+class Draw(Protocol):
+    """Draws a disturbance met at a speed, m/s, by one of a class of vehicles."""
+
+    def __call__(self, rng: np.random.Generator, speed_mps: float, vehicle: Vehicle = CAR, /) -> Disturbance: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Source:
     """How a kind of disturbance is drawn, and at which speeds, m/s, it happens; up to 0 it happens standing."""
 
-    draw: Callable[[np.random.Generator, float], Disturbance]
+    draw: Draw
     low_mps: float
     high_mps: float
 

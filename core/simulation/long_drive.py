@@ -20,9 +20,11 @@ from core.rotation import matrix_from_rpy
 from core.simulation.box_model import Box, G, converted, estimated_down, sample_times_ns, sampled, some_box, spoilt
 from core.simulation.corpus import IGNITION_KNOWN, START_T_NS
 from core.simulation.disturbances import NonAccident
-from core.simulation.long_script import LANDS, RATE_HZ, STRIDE, Density, Script, written
+from core.simulation.handling import in_box
+from core.simulation.long_script import DENSITIES, LANDS, RATE_HZ, STRIDE, Density, Script, written
 from core.simulation.ride import Car
 from core.simulation.sensors import gauss_markov
+from core.simulation.vehicles import VEHICLES
 
 PIECE_KM: Final = 25.0
 
@@ -56,10 +58,12 @@ _ROUGHNESS_M3: Final = (16e-6, 64e-6, 256e-6, 1024e-6)
 """ISO 8608 classes A to D: displacement's spectrum at 0.1 cycles/m."""
 
 
-def drive_piece(seed: int, density: Density | None = None, distance_km: float = PIECE_KM) -> Piece:
-    """The ``seed``-th piece, of at least ``distance_km``: the same arguments give the same bits."""
-    rng = np.random.default_rng([seed, 77])
-    script = written(rng, density or Density(), 1e3 * distance_km)
+def drive_piece(
+    seed: int, density: Density | None = None, distance_km: float = PIECE_KM, vehicle: str = "car"
+) -> Piece:
+    """The ``seed``-th piece of a class of vehicle, of at least ``distance_km``: the same arguments, the same bits."""
+    rng = np.random.default_rng([seed, 77] if vehicle == "car" else [seed, 77, list(VEHICLES).index(vehicle)])
+    script = written(rng, DENSITIES[vehicle] if density is None else density, 1e3 * distance_km, vehicle)
     speed, along, across = (np.concatenate(parts) for parts in zip(*script.parts, strict=True))
     box = some_box(rng, rate_hz=RATE_HZ)
     f_b, omega_b, down_b = _body(speed, along, across, script, box, rng)
@@ -102,20 +106,29 @@ def _body(
     speed: FloatArray, along: FloatArray, across: FloatArray, script: Script, box: Box, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Specific force, rate and down at the box, (n, 3) each: manoeuvres, springs, road, engine, disturbances."""
-    n = speed.size
+    n, vehicle = speed.size, script.vehicle
     rough = _roughness(speed, rng)
-    road = _road(speed, rough, rng.standard_normal((n, 3)), *_QUARTER_CAR)
+    noise = rng.standard_normal((n, 3))
+    base_m = vehicle.body.front_m + vehicle.body.rear_m
+    road = _road(speed, rough, noise, 2.0 * vehicle.body.half_track_m, base_m, *_quarter_car(vehicle.body))
+    if vehicle.leans:  # one track meets one road
+        road[:, 3] = road[:, 1] = 0.0
     # A car rolls 3 to 7 deg a g and pitches 1 to 3 (Gillespie 1992, ch. 6); its springs smooth both.
     roll = -math.radians(rng.uniform(3.0, 7.0)) / G * _smooth(across)
     pitch = math.radians(rng.uniform(1.0, 3.0)) / G * _smooth(along)
     grade = gauss_markov(n, math.radians(1.5), 30.0, 1.0 / RATE_HZ, rng)
     yaw = np.cumsum(across / np.maximum(speed, 2.0)) / RATE_HZ
     rpy = np.column_stack([roll, pitch + _smooth(grade), yaw])
+    if vehicle.leans:
+        rpy[:, 0] = np.arctan(_smooth(across) / G)
     rpy[:, :2] += road[:, 3:]
-    accel = 0.06 * rng.standard_normal((n, 3))  # engine and the rest of what shakes a box
+    accel = vehicle.engine_mps2 * rng.standard_normal((n, 3))  # engine and the rest of what shakes a box
     accel += road[:, :3]
-    accel[:, 0] += along
-    accel[:, 1] += across
+    if vehicle.leans:
+        accel += in_box(rpy, np.column_stack([along, across, np.zeros(n)]))
+    else:
+        accel[:, 0] += along
+        accel[:, 1] += across
     for row, disturbance in script.disturbed:
         shaken = sampled(disturbance.accel_b, box)
         end = min(row + len(shaken), n)
@@ -188,14 +201,16 @@ def _quarter_car(car: Car) -> tuple[FloatArray, FloatArray, float]:
     return np.ascontiguousarray(stepped[:4, :4]), np.ascontiguousarray(stepped[:4, 4]), wheel / body
 
 
-_QUARTER_CAR: Final = _quarter_car(Car())
-_TRACK_M: Final = 1.5
-_WHEELBASE_M: Final = 2.6
-
-
 @njit(cache=True, nogil=True)
 def _road(
-    speed: FloatArray, rough: FloatArray, noise: FloatArray, a: FloatArray, b: FloatArray, ratio: float
+    speed: FloatArray,
+    rough: FloatArray,
+    noise: FloatArray,
+    track_m: float,
+    base_m: float,
+    a: FloatArray,
+    b: FloatArray,
+    ratio: float,
 ) -> FloatArray:
     """Two quarter cars, left and right, over a random road: acceleration forward, right and down, roll and pitch."""
     n = speed.shape[0]
@@ -222,11 +237,11 @@ def _road(
             hop += 0.5 * (x[side, 3] - y3) * RATE_HZ * ratio
             tilt += (1.0 if side == 0 else -1.0) * up
             heave += 0.5 * x[side, 1]
-        roll = (heights[0] - heights[1]) / _TRACK_M
-        pitch = keep * pitch + 0.3 * heave / _WHEELBASE_M / RATE_HZ
+        roll = (heights[0] - heights[1]) / track_m
+        pitch = keep * pitch + 0.3 * heave / base_m / RATE_HZ
         # Choices, by which the spectra along and across come up to those of kth_stockholm and of phones on windshields.
         out[k, 0] = 0.35 * lift + 0.5 * hop
-        out[k, 1] = 0.8 * tilt / _TRACK_M + 0.2 * hop
+        out[k, 1] = 0.8 * tilt / track_m + 0.2 * hop
         out[k, 2] = -(lift + 0.3 * hop)
         out[k, 3], out[k, 4] = roll, pitch
     return out

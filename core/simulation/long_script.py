@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from core.measurements import FloatArray
+from core.simulation.class_disturbances import SOURCES_BY_CLASS
 from core.simulation.disturbances import Disturbance, NonAccident
-from core.simulation.handling import SOURCES
 from core.simulation.ride import FINE_HZ
 from core.simulation.shapes import Shape, peak_rate, step
+from core.simulation.vehicles import CAR, VEHICLES
 from core.tunables import Tunables, tunable
 
 RATE_HZ: Final = 100.0
 STRIDE: Final = round(FINE_HZ / RATE_HZ)
 
 _DENSE: Final = "choice: many times what roads and owners give, so that a rare mistake shows"
+_NO_CAR: Final = "cars do not; see DENSITIES"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +47,27 @@ class Density(Tunables):
     ferry: float = tunable(0.1, unit="1/100 km", low=0.0, high=1000.0, source=_DENSE)
     car_wash: float = tunable(0.3, unit="1/100 km", low=0.0, high=1000.0, source=_DENSE)
     trailer_coupling: float = tunable(0.3, unit="1/100 km", low=0.0, high=1000.0, source=_DENSE)
+    tipping_body: float = tunable(0.0, unit="1/100 km", low=0.0, high=1000.0, source=_NO_CAR)
+    kneeling: float = tunable(0.0, unit="1/100 km", low=0.0, high=1000.0, source=_NO_CAR)
+    wheelie: float = tunable(0.0, unit="1/100 km", low=0.0, high=1000.0, source=_NO_CAR)
+    stoppie: float = tunable(0.0, unit="1/100 km", low=0.0, high=1000.0, source=_NO_CAR)
+    fall_at_rest: float = tunable(0.0, unit="1/100 km", low=0.0, high=1000.0, source=_NO_CAR)
+    side_stand: float = tunable(0.0, unit="1/100 km", low=0.0, high=1000.0, source=_NO_CAR)
+
+
+DENSITIES: Final[Mapping[str, Density]] = MappingProxyType(
+    {
+        "car": Density(),
+        "van": Density(door_slam=20.0),
+        "truck": Density(trailer_coupling=4.0, tipping_body=4.0, kerb=8.0, boot_slam=0.0, parking_bump=6.0),
+        "bus": Density(kneeling=10.0, kerb=15.0, door_slam=20.0, boot_slam=0.0, trailer_coupling=0.0),
+        "motorcycle": Density(
+            door_slam=0.0, boot_slam=0.0, tow=0.0, car_wash=0.0, trailer_coupling=0.0, swerve=4.0, hard_cornering=12.0,
+            wheelie=4.0, stoppie=3.0, fall_at_rest=2.0, side_stand=2.0,
+        ),
+    }
+)  # fmt: skip
+"""By class of vehicle."""
 
 
 class Land(NamedTuple):
@@ -66,8 +91,10 @@ LANDS: Final = (
 class Script:
     """Speed, forward and sideways acceleration, one segment after the other."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
+    def __init__(self, rng: np.random.Generator, vehicle: str = "car") -> None:
         self.rng = rng
+        self.vehicle = VEHICLES[vehicle]
+        self.sources = SOURCES_BY_CLASS[vehicle]
         self.speed_mps = 0.0
         self.parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         self.rows = 0
@@ -126,15 +153,15 @@ class Script:
         self.add(speed, np.zeros(speed.size), np.zeros(speed.size))
 
 
-def written(rng: np.random.Generator, density: Density, distance_m: float) -> Script:
+def written(rng: np.random.Generator, density: Density, distance_m: float, vehicle: str = "car") -> Script:
     """The script of a piece: driving, with the non-accidents at places drawn evenly over its way."""
-    script = Script(rng)
+    script = Script(rng, vehicle)
     script.hold(rng.uniform(5.0, 30.0))
     due: list[tuple[float, NonAccident]] = []
     for field in fields(density):
         kind = NonAccident(field.name)
-        if kind is NonAccident.BOX_DROPPED:
-            continue  # it ends the piece
+        if kind is NonAccident.BOX_DROPPED or getattr(density, field.name) == 0.0:
+            continue  # a box that drops ends the piece
         count = rng.poisson(getattr(density, field.name) * distance_m / 1e5)
         due += [(float(at), kind) for at in rng.uniform(0.0, distance_m, count)]
     due.sort()
@@ -148,7 +175,7 @@ def written(rng: np.random.Generator, density: Density, distance_m: float) -> Sc
         while due and script.distance_m >= distance_m:
             _meet(script, due.pop(0)[1], rng)
     if rng.random() < -math.expm1(-density.box_dropped * distance_m / 1e5):
-        script.disturb(SOURCES[NonAccident.BOX_DROPPED].draw(rng, script.speed_mps))
+        script.disturb(script.sources[NonAccident.BOX_DROPPED].draw(rng, script.speed_mps, script.vehicle))
         script.to_speed(0.0, 1.5)
         script.hold(60.0)
     script.to_speed(0.0, rng.uniform(0.8, 2.5))
@@ -160,33 +187,38 @@ def _drive_on(script: Script, land: Land, rng: np.random.Generator) -> None:
     """The next stretch: a speed, then some way at it with bends and lanes; now and then a stop."""
     # Everyday accelerations are log-normal about 1.3 m/s2; one in a hundred beyond 4 (choice).
     accel = float(np.clip(rng.lognormal(math.log(1.3), 0.5), 0.4, 6.5))
-    script.to_speed(rng.uniform(*land.speed_mps), min(accel, 4.5))
+    vehicle = script.vehicle
+    most_mps2 = vehicle.braking_most_mps2 / CAR.braking_most_mps2
+    speed_mps = min(rng.uniform(*land.speed_mps), vehicle.top_mps)
+    script.to_speed(speed_mps, vehicle.hurry * min(accel, 4.5))
     way_m = script.speed_mps * rng.uniform(3.0, 25.0)
     if rng.random() < -math.expm1(-land.bends_per_km * way_m / 1e3):
         side = float(np.clip(rng.lognormal(math.log(1.6), 0.5), 0.3, 6.0)) * rng.choice([-1.0, 1.0])
+        side *= vehicle.side_most_mps2 / CAR.side_most_mps2
         script.bend(side, rng.uniform(2.0, 7.0))
     if rng.random() < 0.15:
         script.change_lane(rng.uniform(0.4, 2.0) * rng.choice([-1.0, 1.0]), rng.uniform(2.5, 6.0))
     script.hold(way_m / script.speed_mps)
     if rng.random() < -math.expm1(-land.stops_per_km * way_m / 1e3):
-        script.to_speed(0.0, float(np.clip(rng.lognormal(math.log(1.6), 0.45), 0.5, 7.0)))
+        script.to_speed(0.0, float(np.clip(rng.lognormal(math.log(1.6), 0.45), 0.5, 7.0 * most_mps2)))
         script.hold(rng.uniform(2.0, 30.0))
 
 
 def _meet(script: Script, kind: NonAccident, rng: np.random.Generator) -> None:
     """Let a non-accident happen, at a speed at which it does."""
-    source = SOURCES[kind]
+    source = script.sources[kind]
     if source.high_mps == 0.0:
         script.to_speed(0.0, rng.uniform(0.8, 3.0))
         if kind is not NonAccident.PARKING_BUMP:
             script.hold(rng.uniform(2.0, 10.0))
-        disturbance = source.draw(rng, 0.0)
+        disturbance = source.draw(rng, 0.0, script.vehicle)
         if not disturbance.ignition:
             script.hold(16.0)
     else:
         if not source.low_mps <= script.speed_mps <= source.high_mps or script.speed_mps < 1.0:
-            script.to_speed(rng.uniform(max(source.low_mps, 1.0), source.high_mps), rng.uniform(1.0, 3.0))
+            speed_mps = min(rng.uniform(max(source.low_mps, 1.0), source.high_mps), script.vehicle.top_mps)
+            script.to_speed(speed_mps, rng.uniform(1.0, 3.0))
             script.hold(rng.uniform(1.0, 3.0))
-        disturbance = source.draw(rng, script.speed_mps)
+        disturbance = source.draw(rng, script.speed_mps, script.vehicle)
     script.disturb(disturbance)
     script.hold(rng.uniform(0.5, 6.0))

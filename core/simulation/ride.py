@@ -24,16 +24,16 @@ _SUBSTEPS = 4
 class Car(Tunables):
     """Seven degrees of freedom: heave, pitch, roll, four wheels. Orders of magnitude of Gillespie (1992), ch. 5."""
 
-    sprung_kg: float = tunable(1250.0, unit="kg", low=300.0, high=20000.0, source="choice: compact car, two aboard")
+    sprung_kg: float = tunable(1250.0, unit="kg", low=100.0, high=20000.0, source="choice: compact car, two aboard")
     unsprung_kg: float = tunable(38.0, unit="kg", low=5.0, high=600.0, source="choice: a wheel, hub and brake")
-    pitch_kgm2: float = tunable(1900.0, unit="kg m2", low=100.0, high=200000.0, source="choice: about m a b")
-    roll_kgm2: float = tunable(480.0, unit="kg m2", low=50.0, high=50000.0, source="choice: compact car, 400-600")
+    pitch_kgm2: float = tunable(1900.0, unit="kg m2", low=10.0, high=200000.0, source="choice: about m a b")
+    roll_kgm2: float = tunable(480.0, unit="kg m2", low=5.0, high=50000.0, source="choice: compact car, 400-600")
     front_m: float = tunable(1.15, unit="m", low=0.3, high=5.0, source="choice: centre of gravity to front axle")
     rear_m: float = tunable(1.45, unit="m", low=0.3, high=5.0, source="choice: wheelbase 2.6 m")
-    half_track_m: float = tunable(0.75, unit="m", low=0.2, high=1.5, source="choice: track 1.5 m")
+    half_track_m: float = tunable(0.75, unit="m", low=0.05, high=1.5, source="choice: track 1.5 m")
     height_m: float = tunable(0.55, unit="m", low=0.2, high=2.0, source="choice: centre of gravity above the road")
     spring_npm: float = tunable(
-        22000.0, unit="N/m", low=5000.0, high=500000.0, source="choice: a wheel; 1.3 Hz body bounce (Gillespie, ch. 5)"
+        22000.0, unit="N/m", low=5000.0, high=1e6, source="choice: a wheel; 1.3 Hz body bounce (Gillespie, ch. 5)"
     )
     damping_nspm: float = tunable(
         1700.0, unit="N s/m", low=200.0, high=50000.0, source="choice: damping ratio 0.3 (Gillespie 1992, ch. 5)"

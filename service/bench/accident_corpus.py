@@ -8,6 +8,7 @@ from typing import Any, Final
 from core.simulation.accident_classes import CLASSES
 from core.simulation.corpus import accident_case, quiet_case
 from core.simulation.disturbances import NonAccident
+from core.simulation.handling import SOURCES
 from service.bench.accident_scoring import (
     DETECTORS,
     accident_figures,
@@ -29,7 +30,7 @@ _AT_ONCE: Final = 10
 
 def measure(tell: Tell, accidents: int = ACCIDENTS, quiet: int = QUIET) -> dict[str, Any]:
     """Figures of each detector over the same cases."""
-    jobs = [*_jobs(list(CLASSES), accidents), *_jobs(list(NonAccident), quiet)]
+    jobs = [*_jobs(list(CLASSES), accidents), *_jobs(list(SOURCES), quiet)]
     found = {name: ([], []) for name in DETECTORS}  # type: dict[str, tuple[list[Any], list[Any]]]
     for done, part in enumerate(in_processes(_judge, jobs)):
         tell(done + 1, len(jobs))

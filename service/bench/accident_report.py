@@ -16,6 +16,8 @@ def tables(found: Mapping[str, Any]) -> str:
         "corpus": _corpus,
         "errors": _errors,
         "long": _long,
+        "classes": _classes,
+        "reliability": _reliability,
         "recordings": _recordings,
         "left_out": _left_out,
         "targets": verdicts,
@@ -114,6 +116,20 @@ def _reliable(found: Mapping[str, Any]) -> Iterable[str]:
         yield from aligned(rows)
 
 
+def _reliability(found: Mapping[str, Any]) -> Iterable[str]:
+    counts = ", ".join(f"{count} of {form}" for form, count in found["from"].items())
+    yield f"what was told of cases in which little is plain ({counts}): fitted on even seeds, shown on odd ones"
+    for key, text in (("first", "at once"), ("last", "in the end")):
+        one = found[key]
+        fit = one["fit"]
+        yield (
+            f"  {text}: {one['count']} shown, {one['middling']} between 0.1 and 0.9; Brier score"
+            f" {one['brier']:.4f}, expected calibration error {one['ece']:.4f}; the other half asks for a slope of"
+            f" {fit['slope']:.2f} and a shift of {fit['shift']:.2f}"
+        )
+    yield from _reliable(found)
+
+
 def _named(quiet: Mapping[str, Any]) -> Iterable[str]:
     yield f"what non-accidents were taken for by {OURS} (nothing: not even suspected):"
     rows = [("non-accident", "count", "named rightly", "taken for")]
@@ -147,6 +163,56 @@ def _long(found: Mapping[str, Any]) -> Iterable[str]:
         during = ", ".join(alarm["during"]) or "nothing"
         yield f"  piece {alarm['seed']}, {alarm['t_ns']}: {alarm['delta_v_mps']:.2f} m/s during {during}"
     yield from _named(found[OURS]["quiet"])
+
+
+def _classes(found: Mapping[str, Any]) -> Iterable[str]:
+    yield f"each class of vehicle with its own profile ({OURS}); share found, and what is told of it:"
+    rows: list[Sequence[str]] = [
+        ("class", "accidents", "from 8 km/h", "low-speed class", "falls", "over 10 % and 1 km/h, unclipped",
+         "clipped off by", "over 15 deg", "told after, s", "later than 150 ms")
+    ]  # fmt: skip
+    for name, one in found.items():
+        delta_v, clipped, delay = one["delta_v_unclipped"], one["delta_v_clipped"], one["delay"]
+        rows.append(
+            (
+                name,
+                str(one["accidents"] + one["falls"]["count"]),
+                _share(one["recall"]["from_8_kmh"]),
+                _share(one["recall"]["low_speed"]),
+                _share(one["falls"]),
+                _share(delta_v["outside"]),
+                f"{_three(clipped['relative_error'], 2)} of {clipped['count']}",
+                _share(one["direction"]["outside"]),
+                _three(delay["delay_s"], 3),
+                _share(delay["late_share"]),
+            )
+        )
+    yield from aligned(rows)
+    rows = [
+        ("class", "non-accidents", "told", "withdrawn", "named rightly", "km", "false alarms, 100 000 km", "withdrawn")
+    ]
+    for name, one in found.items():
+        told, back, quiet = one["false_alarms"], one["withdrawn"], one["quiet"]
+        rows.append(
+            (
+                name,
+                str(quiet["count"]),
+                str(quiet["false_alarms"]),
+                str(quiet["withdrawn"]),
+                _share(quiet["named_right"]),
+                f"{one['km']:.0f}",
+                f"{told['count']}: {told['per_100000_km']:.0f} ({told['low']:.1f} to {told['high']:.0f})",
+                str(back["count"]),
+            )
+        )
+    yield from aligned(rows)
+    for name, one in found.items():
+        yield f"{name}: missed {', '.join(f'{kind} {seed} ({dv} m/s)' for kind, seed, dv in one['missed']) or 'none'}"
+        wrong = [f"{kind} {seed}" for kind, seed in one["wrong"]] + [
+            f"piece {seed}, {t_ns}" for seed, t_ns in one["shown"]
+        ]
+        yield f"  false alarms: {', '.join(wrong) or 'none'}"
+        yield from _named(one["quiet"])
 
 
 def _errors(found: Mapping[str, Any]) -> Iterable[str]:

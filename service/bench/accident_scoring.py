@@ -50,6 +50,12 @@ NAMES: Final[Mapping[NonAccident, frozenset[NoAccident]]] = {
     NonAccident.FERRY: frozenset({NoAccident.FERRY}),
     NonAccident.CAR_WASH: frozenset({NoAccident.VIBRATION_TRAIN}),
     NonAccident.TRAILER_COUPLING: frozenset({NoAccident.TRAILER_COUPLING}),
+    NonAccident.TIPPING_BODY: frozenset({NoAccident.TOWING, NoAccident.TRAILER_COUPLING}),
+    NonAccident.KNEELING: frozenset({NoAccident.TOWING, NoAccident.DOOR_SLAM}),
+    NonAccident.WHEELIE: frozenset({NoAccident.SPEED_BUMP, NoAccident.POTHOLE}),
+    NonAccident.STOPPIE: frozenset({NoAccident.EMERGENCY_BRAKING, NoAccident.SPEED_BUMP}),
+    NonAccident.FALL_AT_REST: frozenset({NoAccident.FELL_OVER}),
+    NonAccident.SIDE_STAND: frozenset[NoAccident](),
 }
 """The detector's names that are right for what is simulated."""
 
@@ -78,7 +84,13 @@ class Story:
 
 def listen(detector: str, motions: Iterable[VehicleMotion]) -> tuple[list[Story], list[Candidate]]:
     """What a detector tells of samples that follow one another."""
-    listening = DETECTORS[detector]()
+    return heard(DETECTORS[detector](), motions)
+
+
+def heard(
+    listening: ImpactDetector | PaperRule, motions: Iterable[VehicleMotion]
+) -> tuple[list[Story], list[Candidate]]:
+    """What a fresh detector tells of samples that follow one another."""
     found = [listening.step(motion) for motion in motions]
     return stories(one for each in found for one in each.impacts), [one for each in found for one in each.candidates]
 
@@ -98,11 +110,9 @@ def accident_record(
     last_ns = t_ns + round(1e9 * (truth.impacts[-1]["t_s"] - truth.t_s))
     mine = [one for one in told if one.stands and t_ns - BEFORE_NS <= one.first.t_ns <= last_ns + AFTER_NS]
     probabilities = [(one.first.confidence, one.last.confidence, True) for one in mine]
-    probabilities += [
-        (one.probability, one.probability, True)
-        for one in candidates
-        if not mine and t_ns - BEFORE_NS <= one.t_ns <= last_ns + AFTER_NS
-    ][:1]
+    if not mine:
+        near = [one.probability for one in candidates if t_ns - BEFORE_NS <= one.t_ns <= last_ns + AFTER_NS]
+        probabilities += [(likeliest, likeliest, True) for likeliest in sorted(near)[-1:]]
     record: dict[str, Any] = {
         "class": truth.name,
         "kind": truth.kind,

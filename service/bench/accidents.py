@@ -7,7 +7,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from service.bench import accident_corpus, accident_drives, accident_long, accident_recordings
+from service.bench import (
+    accident_classes,
+    accident_corpus,
+    accident_drives,
+    accident_long,
+    accident_recordings,
+    accident_reliability,
+)
 from service.bench.accident_targets import TARGETS
 from service.bench.calibration_recordings import PLACE
 from service.bench.navigation import DRIVES
@@ -19,6 +26,8 @@ PARTS: Final[dict[str, Callable[[Tell], dict[str, Any]]]] = {
     "seed1": accident_drives.seed1,
     "corpus": accident_corpus.measure,
     "errors": accident_drives.errors,
+    "classes": accident_classes.measure,
+    "reliability": accident_reliability.measure,
 }
 LONG: Final = "long"
 RECORDED: Final = "recordings"

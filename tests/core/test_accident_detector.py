@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import gzip
 import math
 
 import numpy as np
@@ -10,14 +12,17 @@ import pytest
 
 from core.accident.detector import ImpactDetector
 from core.accident.events import Kind, NoAccident, Severity, Status
+from core.accident.naming import NamingThresholds
 from core.accident.profiles import for_vehicle
 from core.accident.severity import classify, force_direction_deg
+from core.accident.shocks import rises
 from core.accident.thresholds import SeverityThresholds, TriggerThresholds
 from core.errors import InvalidInputError
 from core.measurements import FLAG_AIRBAG
 from core.simulation.corpus import quiet_case
 from core.simulation.disturbances import NonAccident as Happening
 from tests.crash_timelines import EPOCH_NS, IMPACT_S, G, drive, find, haversine, named, take, told
+from tests.recordings import recording
 
 
 def test_a_frontal_crash_is_told_with_its_change_of_velocity_direction_and_time():
@@ -432,3 +437,20 @@ def test_a_standing_car_that_is_struck_is_found_by_a_box_without_a_gyroscope(ful
     assert abs(math.remainder(impact.pdof_deg - 180.0, 360.0)) < 5.0
     low_mps, high_mps = impact.delta_v_interval_mps
     assert low_mps < delta_v < high_mps
+
+
+def test_recorded_bumps_lift_a_car_first_and_recorded_potholes_let_it_sink_first():
+    path = recording("data", "shocks_road_anomalies_2017", "road_anomalies.csv.gz")
+    series, limit = {}, NamingThresholds().rises
+    with gzip.open(path, "rt") as file:
+        for row in csv.DictReader(file):
+            series.setdefault((row["label"], row["series"]), []).append(float(row["acc_z"]))
+    lifted = {"asphalt_bumps": [], "metal_bumps": [], "potholes": []}
+    for (label, _), up in series.items():
+        if label in lifted:
+            down = np.median(up) - np.array(up)  # 50 Hz, gravity and its scale's error left out
+            lifted[label].append(rises(np.arange(len(up), dtype=np.int64) * 20_000_000, down) > limit)
+    assert {label: len(found) for label, found in lifted.items()} == dict.fromkeys(lifted, 100)
+    assert sum(lifted["asphalt_bumps"]) >= 70  # 78, 94 and 12 when it was written
+    assert sum(lifted["metal_bumps"]) >= 85
+    assert sum(lifted["potholes"]) <= 20

@@ -12,6 +12,7 @@ from core.errors import InvalidInputError
 from core.simulation.accident_classes import CLASSES
 from core.simulation.body_motion import BodyMotion, band_noise, resonator
 from core.simulation.box_model import Box, FilterErrors, converted, estimated_down, sampled, seen, spoilt
+from core.simulation.class_disturbances import SOURCES_BY_CLASS
 from core.simulation.collisions import After, Blow, Collision, collide, mirrored
 from core.simulation.corpus import LEAD_S, accident_case, disturbed, quiet_case
 from core.simulation.disturbances import GRID_M, NonAccident, rough_road
@@ -21,6 +22,7 @@ from core.simulation.long_script import Density
 from core.simulation.pulses import CRASH_SHAPES, recorded_pulse, ringing, shaped_pulse
 from core.simulation.ride import FINE_HZ, Car, ride, tracked
 from core.simulation.shapes import Shape
+from core.simulation.vehicles import VEHICLES
 
 G = 9.80665
 CENTRE = (0.0, 0.0, 0.0)
@@ -207,20 +209,29 @@ def test_a_rough_road_has_the_spectrum_of_its_class():
     assert np.mean(power[near] * (n[near] / 0.1) ** 2) == pytest.approx(256e-6, rel=0.15)  # 200 pieces
 
 
-@pytest.mark.parametrize("kind", NonAccident)
-def test_each_disturbance_is_finite_bounded_and_starts_quietly(kind):
-    source = SOURCES[kind]
+OF_THEIR_OWN = [
+    (vehicle, kind)
+    for vehicle, sources in SOURCES_BY_CLASS.items()
+    for kind, source in sources.items()
+    if vehicle == "car" or source is not SOURCES.get(kind)
+]
+
+
+@pytest.mark.parametrize(("vehicle", "kind"), OF_THEIR_OWN)
+def test_each_disturbance_is_finite_bounded_and_starts_quietly(vehicle, kind):
+    source = SOURCES_BY_CLASS[vehicle][kind]
     for seed in range(4):
         rng = np.random.default_rng([seed, 9])
         speed_mps = rng.uniform(max(source.low_mps, 1.0), source.high_mps) if source.high_mps else 0.0
-        one = source.draw(rng, speed_mps)
+        one = source.draw(rng, speed_mps, VEHICLES[vehicle])
         assert one.kind is kind
         assert one.accel_b.shape == one.rpy_rad.shape == (one.speed_mps.size, 3)
         assert np.isfinite(one.accel_b).all()
         assert 0.0 <= one.hardness <= 1.0
         assert np.abs(one.rpy_rad[0]).max() < 0.01
         assert one.speed_mps.min() >= 0.0
-        limit = 400.0 * G if kind in (NonAccident.BOX_DROPPED, NonAccident.BOX_KNOCKED) else 12.0 * G
+        struck = kind in (NonAccident.BOX_DROPPED, NonAccident.BOX_KNOCKED)
+        limit = 400.0 * G if struck else 25.0 * G if kind is NonAccident.FALL_AT_REST else 12.0 * G
         assert np.abs(one.accel_b).max() < limit
 
 

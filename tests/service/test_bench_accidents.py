@@ -13,14 +13,18 @@ import numpy as np
 import pytest
 
 from core.accident.events import Candidate, Impact, NoAccident, Severity, Status
+from core.accident.thresholds import JudgementThresholds
 from core.simulation.collisions import Truth
 from core.simulation.corpus import accident_case, quiet_case
 from core.simulation.disturbances import NonAccident
+from core.simulation.handling import SOURCES
 from service.bench import (
+    accident_classes,
     accident_corpus,
     accident_drives,
     accident_long,
     accident_recordings,
+    accident_reliability,
     accident_scoring,
     accidents,
     processes,
@@ -180,7 +184,7 @@ def test_the_corpus_is_scored_the_same_in_processes_of_its_own(monkeypatch):
     assert first == again
     ours = first[OURS]
     assert ours["accidents"] == 26
-    assert ours["quiet"]["count"] == len(NonAccident)
+    assert ours["quiet"]["count"] == len(SOURCES)
     assert ours["recall"]["severe"]["share"] > 0.7  # what any detector must find
     told = tables({"corpus": first, "targets": judged({"corpus": first}, TARGETS)})
     assert "corpus: 26 accidents and 18 non-accidents" in told
@@ -248,7 +252,10 @@ def test_recorded_shocks_and_trips_are_all_given():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--accidents", "--part", "moon"], "expected one of seed1, corpus, errors, long, recordings"),
+        (
+            ["--accidents", "--part", "moon"],
+            "expected one of seed1, corpus, errors, classes, reliability, long, recordings",
+        ),
         (["--accidents", "--km", "0"], "--km 0: expected above 0"),
         (["--accidents", "--part", "recordings", "--recordings", "/nowhere"], "no 'crash_nhtsa_10146"),
         (["--km", "10"], "--km is for --accidents"),
@@ -282,3 +289,52 @@ def test_without_recordings_that_part_is_left_out_unless_asked_for(monkeypatch, 
     monkeypatch.setattr(accidents, "judged", lambda found, targets: [])
     found = accidents.measure([], 10.0, None, None, lambda part, done, total: None)
     assert found["left_out"] == {"recordings": accident_recordings.BARRIER}
+
+
+def test_a_class_of_vehicle_is_scored_with_its_own_profile(monkeypatch):
+    monkeypatch.setattr(processes, "MOST", 1)
+    monkeypatch.setattr(accident_classes, "CLASSES", ("motorcycle",))
+    monkeypatch.setattr(accident_classes, "CLASSES_BY_VEHICLE", {"motorcycle": ("rear", "lowside")})
+    found = accident_classes.measure(untold, 1, 1, 5.0)
+    (bike,) = found.values()
+    assert bike["accidents"] == 1
+    assert bike["falls"]["count"] == 1
+    assert bike["km"] >= 5.0
+    assert bike["quiet"]["count"] == len(accident_classes.SOURCES_BY_CLASS["motorcycle"])
+    assert bike["quiet"]["kinds"]["fall_at_rest"]["taken_for"] == {"fell_over": 1}
+    assert "motorcycle" in tables({"classes": found})
+
+
+def test_the_line_through_what_came_true_is_the_one_that_made_it():
+    rng = np.random.default_rng(2)
+    limits = JudgementThresholds()
+    odds = rng.normal(0.0, 2.0, 20_000)
+    true = rng.random(odds.size) < 1.0 / (1.0 + np.exp(-(0.9 * odds - 0.4)))
+    said = 1.0 / (1.0 + np.exp(-(limits.told_slope * odds + limits.told_shift)))
+    rows = [(float(p), bool(came), 1.0) for p, came in zip(said, true, strict=True)]
+    fit = accident_reliability.line(rows)
+    assert fit["slope"] == pytest.approx(0.9, abs=4.0 * 0.02)  # four of the spread of 20 000 rows
+    assert fit["shift"] == pytest.approx(-0.4, abs=4.0 * 0.02)
+    drawn = accident_reliability.diagram(rows)
+    assert sum(one["count"] for one in drawn["bins"]) == drawn["count"] == odds.size
+    assert drawn["ece"] > 0.05
+    honest = accident_reliability.diagram([(p, bool(rng.random() < p), 1.0) for p, _, _ in rows])
+    assert honest["ece"] < 0.01  # 20 000 rows
+
+
+def test_rows_that_stand_for_more_count_for_more():
+    (part,) = accident_reliability.diagram([(0.6, True, 3.0), (0.6, False, 1.0)])["bins"]
+    assert part["accidents"]["share"] == pytest.approx(0.75)
+    assert part["accidents"]["low"] < 0.05  # of 1.6 even rows
+    (whole,) = accident_reliability.diagram([(0.6, k < 75, 1.0) for k in range(100)])["bins"]
+    exact = share([k < 75 for k in range(100)])
+    assert (whole["accidents"]["low"], whole["accidents"]["high"]) == pytest.approx((exact["low"], exact["high"]))
+
+
+def test_weak_accidents_and_what_is_hard_to_tell_from_them_make_the_diagram(monkeypatch):
+    monkeypatch.setattr(processes, "MOST", 1)
+    monkeypatch.setattr(accident_reliability, "WEAK_CLASSES", ("rear",))
+    monkeypatch.setattr(accident_reliability, "CLASSES", ("frontal",))
+    found = accident_reliability.measure(untold, 4, 2, 25.0)
+    assert set(found["from"]) == {"weak", "accident", "drive"}
+    assert "asks for a slope" in tables({"reliability": found})

@@ -16,6 +16,20 @@ class Injury(BaseModel):
     source: str
 
 
+class SingleImpact(BaseModel):
+    """One of an accident's impacts: figures as of the worst, forward and right as the vehicle headed as it began."""
+
+    after_s: float = Field(description="Since the accident's time.")
+    duration_s: float
+    delta_v_mps: float
+    delta_v_interval_mps: tuple[NullableFigure, NullableFigure]
+    delta_v_b_mps: tuple[NullableFigure, NullableFigure]
+    pdof_deg: float | None
+    pdof_sd_deg: float | None
+    peak_mps2: float
+    clipped: bool
+
+
 class ImpactFigures(BaseModel):
     """What was felt of an accident."""
 
@@ -29,12 +43,17 @@ class ImpactFigures(BaseModel):
     pdof_deg: float | None = Field(
         description="Where the force came from, clockwise seen from above; 0 is the front. Null while unknown."
     )
-    pdof_sd_deg: float | None
+    pdof_sd_deg: float | None = Field(
+        description="Its spread, in the end also by which of several impacts may as well have been the worst."
+    )
     peak_mps2: float
     duration_s: float
     clipped: bool = Field(description="The accelerometer read its full scale, so the peak is a lower bound.")
     speed_before_mps: float | None
     impacts: int = Field(description="How many impacts belong to it so far.")
+    each_impact: list[SingleImpact] = Field(
+        description="Of each impact its own figures, in their order; empty where they are not known."
+    )
     rollover: bool
     injury: Injury | None = Field(description="Null where the model says nothing of this direction or class.")
     reasons: list[str] = Field(description="What speaks for and against an accident.")

@@ -13,13 +13,23 @@ import numpy.typing as npt
 
 from core.accident import suppressed, trigger
 from core.accident.clipping import Whole
-from core.accident.events import Candidate, Findings, Impact, Kind, Severity, Status, VehicleMotion
-from core.accident.impacts import belonging, deployed, felt, refined
+from core.accident.converters import hangs
+from core.accident.events import Candidate, FeltImpact, Findings, Impact, Kind, Severity, Status, VehicleMotion
+from core.accident.impacts import (
+    belonging,
+    deployed,
+    each_of,
+    felt,
+    may_be_braking,
+    refined,
+    unsure_direction_sd_deg,
+    weighed,
+)
 from core.accident.judgement import AIRBAG_DEPLOYED, Aftermath, confidence, followed, probability, reasons
 from core.accident.level import HEADING_COS, HEADING_SIN, ROLL_RATE, YAW_RATE, LevelMotion
 from core.accident.momentum import MOST_BLOWS, Momentum, begun, checked, settled, struck
 from core.accident.open_accident import Open, Weak
-from core.accident.pulse import ANY, Pulse, hangs, read_pulse, spin_from
+from core.accident.pulse import ANY, Pulse, read_pulse, spin_from
 from core.accident.thresholds import DetectorThresholds
 from core.accident.tilted import lying
 from core.accident.trigger import NEVER, Stop, scan
@@ -125,38 +135,36 @@ class ImpactDetector:
         told = self._told_ns == registers[trigger.START]
         judged = pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse)
         first_ns = int(t_ns[judged.first])
-        around = {
-            "fell": trigger.lately(registers, trigger.FELL, first_ns, limits.trigger.fell_before_s),
-            "parked": self._stood_parked(first_ns),
-        }
-        impact, odds, unclipped = felt(level, judged, row, NAME, limits, **around)
-        if not whole and hangs(level.x, judged.first, row, judged.jolt_radps, limits.judgement.unturned_radps):
+        fell = trigger.lately(registers, trigger.FELL, first_ns, limits.trigger.fell_before_s)
+        odds = weighed(level, judged, limits, fell=fell)
+        unturned = limits.judgement.unturned_radps
+        if not whole and hangs(t_ns, level.x, level.flags, (judged.first, row), judged.jolt_radps, unturned):
             return  # until it lets go
-        likely = probability(odds) >= self._needed(whole=whole, told=told)
-        same = self._open is not None and impact.t_ns <= self._open.last_ns + _ns(limits.aftermath.grouping_s)
+        likely = probability(odds) >= (self._needed(judged, row) if not whole else self._holds(told=told))
+        same = self._open is not None and first_ns <= self._open.last_ns + _ns(limits.aftermath.grouping_s)
         if not whole:
             if likely and not same:
                 self._told_ns = int(registers[trigger.START])
                 registers[trigger.SEEN_EARLY] = trigger.TOLD
+                impact, _ = self._felt(judged, row, odds)
                 # A converter that hangs looks like the plainest of blows until it lets go.
                 impact = replace(impact, confidence=min(impact.confidence, limits.judgement.told_most))
                 self._begin(impact, odds, row, found, self._begun(judged, row))
             return
-        if likely:
-            pulse = self._described(judged, start, ends, told=told)
-            if pulse != judged:
-                impact, _, unclipped = felt(level, pulse, row, NAME, limits, **around)
-                impact = replace(impact, confidence=confidence(odds, limits.judgement))
         broken_off = evidence_row < row
-        if likely and not told and not same and not broken_off:  # told now, and again with the end of its flank
+        if not likely:
+            registers[trigger.PULSE], registers[trigger.FLOOR] = 0, now
+            self._dismiss(judged, odds, told, row, found)
+            return
+        pulse = self._described(judged, start, ends, told=told)
+        impact, unclipped = self._felt(pulse, row, odds)
+        if not told and not same and not broken_off:  # told now, and again with the end of its flank
             self._told_ns = int(registers[trigger.START])
             registers[trigger.SEEN_EARLY], registers[trigger.SETTLED] = trigger.TOLD, now
             self._begin(impact, odds, row, found, self._begun(pulse, row))
             return
         registers[trigger.PULSE], registers[trigger.FLOOR] = 0, now
-        if not likely:
-            self._dismiss(impact, odds, told, row, found)
-        elif told:
+        if told:
             self._update(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
         elif not same:
             momentum = self._struck(self._begun(pulse, row), impact, pulse, row, unclipped)
@@ -164,12 +172,23 @@ class ImpactDetector:
         elif not self._spins(judged):
             self._add(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
 
-    def _needed(self, *, whole: bool, told: bool) -> float:
-        """How likely a pulse has to be for it to be told, or not to be taken back."""
+    def _felt(self, pulse: Pulse, row: int, odds: float) -> tuple[Impact, Whole | None]:
+        """The accident that a pulse of such log-odds is, as it is told at ``row``; dear where it clipped."""
+        parked = self._stood_parked(int(self._level.t_ns[pulse.first]))
+        return felt(self._level, pulse, row, odds, NAME, self._limits, parked=parked)
+
+    def _needed(self, pulse: Pulse, row: int) -> float:
+        """How likely a pulse that goes on has to be for it to be told."""
+        limits, age_ns = self._limits.judgement, int(self._level.t_ns[row] - self._level.t_ns[pulse.first])
+        if age_ns < _ns(limits.late_s):
+            return limits.tell_early
+        return limits.tell_late if may_be_braking(pulse, limits) else limits.tell
+
+    def _holds(self, *, told: bool) -> float:
+        """How likely a pulse that is over has to be for it to be told, or not to be taken back."""
         limits = self._limits.judgement
-        if whole:  # what was hardly plain when it was told has to hold
-            return limits.retract if told and probability(self._opened.odds) >= limits.tell_early else limits.tell
-        return limits.tell_late if self._registers[trigger.SEEN_EARLY] >= trigger.LATE else limits.tell_early
+        # What was hardly plain when it was told has to hold.
+        return limits.retract if told and probability(self._opened.odds) >= limits.tell_early else limits.tell
 
     def _described(self, judged: Pulse, start: int, ends: tuple[int, int], *, told: bool) -> Pulse:
         """The blow by which an accident is described, where it is judged by the spin or the slide that follows it."""
@@ -231,6 +250,7 @@ class ImpactDetector:
         """Tell a new accident; one that is still open is closed first."""
         if self._open is not None:
             self._close(row, found)
+        impact = replace(impact, each=_each(momentum, impact) or each_of([] if momentum is None else [impact]))
         self._open = Open(impact, odds, impact.decided_t_ns, momentum)
         self._registers[trigger.OPEN], self._registers[trigger.OPEN_FROM] = 1, impact.decided_t_ns
         self._marks[trigger.LEAST_SPEED] = math.nan
@@ -262,6 +282,7 @@ class ImpactDetector:
             belonging(impact, was.impact),
             revision=was.impact.revision + 1,
             impacts=was.impact.impacts if impacts is None else impacts,
+            each=_each(momentum, was.impact),
             confidence=confidence(odds, self._limits.judgement),
         )
         self._open = replace(was, impact=impact, odds=odds, last_ns=int(self._level.t_ns[row]), momentum=momentum)
@@ -275,22 +296,26 @@ class ImpactDetector:
         if impact.delta_v_mps > was.impact.delta_v_mps:
             self._update(impact, odds, row, found, momentum, impacts=count)
             return
-        was = replace(was, impact=replace(was.impact, impacts=count), odds=odds, last_ns=impact.decided_t_ns)
-        self._open = replace(was, momentum=momentum)
+        counted = replace(was.impact, impacts=count, each=_each(momentum, was.impact))
+        self._open = replace(was, impact=counted, odds=odds, last_ns=impact.decided_t_ns, momentum=momentum)
         self._go_on()
 
-    def _dismiss(self, impact: Impact, odds: float, told: bool, row: int, found: Findings) -> None:
+    def _dismiss(self, pulse: Pulse, odds: float, told: bool, row: int, found: Findings) -> None:
         """Keep a pulse that was none, until the shock around it is over; retract what was told of it too early."""
         registers = self._registers
         if self._open is not None and not told:
             return
-        if self._weak is None or odds > self._weak.odds:
-            delta_v, agrees = impact.delta_v_mps, impact.paper_agrees
-            self._weak = Weak(impact.t_ns, odds, delta_v, impact.duration_s, impact.peak_mps2, agrees)
-        if told:
-            self._finish(replace(impact, t_ns=self._opened.impact.t_ns), odds, Status.RETRACTED, found)
+        first_ns = int(self._level.t_ns[pulse.first])
+        kept = self._weak is None or odds > self._weak.odds
+        if kept or told:
+            impact, _ = self._felt(pulse, row, odds)
+            if kept:
+                delta_v, agrees = impact.delta_v_mps, impact.paper_agrees
+                self._weak = Weak(first_ns, odds, delta_v, impact.duration_s, impact.peak_mps2, agrees)
+            if told:
+                self._finish(replace(impact, t_ns=self._opened.impact.t_ns), odds, Status.RETRACTED, found)
         if registers[trigger.SHOCK_START] == NEVER:
-            registers[trigger.SHOCK_START], registers[trigger.SHOCKS] = impact.t_ns, 1
+            registers[trigger.SHOCK_START], registers[trigger.SHOCKS] = first_ns, 1
         registers[trigger.SHOCK_LAST] = self._level.t_ns[row]
 
     def _close(self, row: int, found: Findings) -> None:
@@ -315,14 +340,19 @@ class ImpactDetector:
 
     def _settled(self, was: Open, row: int) -> Impact:
         """The open accident with what its rest, or its rolling on, tells of what clipped: also which blow was worst."""
-        if was.momentum is None or was.impact.rollover:
+        if was.momentum is None or not was.momentum.blows:
             return was.impact
-        level, limits = self._level, self._limits
+        level, limits, worst = self._level, self._limits, was.impact
+        impacts = [blow.impact for blow in was.momentum.blows]
+        at = max(range(len(impacts)), key=lambda k: impacts[k].delta_v_mps)
         found = settled(was.momentum, level.t_ns, level.x, row, self._registers, limits.aftermath)
-        if found is None:
-            return was.impact
-        worst, mean_mps, covariance = found
-        return belonging(refined(worst, mean_mps, covariance, limits) if worst.clipped else worst, was.impact)
+        if found is not None and not worst.rollover:
+            at, means_mps, covariances = found
+            of_each = zip(impacts, means_mps, covariances, strict=True)
+            impacts = [refined(one, mean, spread, limits) if one.clipped else one for one, mean, spread in of_each]
+            worst = impacts[at]
+        worst = replace(belonging(worst, was.impact), pdof_sd_deg=unsure_direction_sd_deg(impacts, at))
+        return replace(worst, each=each_of(impacts))
 
     def _finish(self, impact: Impact, odds: float, status: Status, found: Findings) -> None:
         was = self._opened
@@ -397,6 +427,13 @@ class ImpactDetector:
             self._update(
                 replace(was.impact, decided_t_ns=now), was.odds + limits.judgement.flagged, row, found, was.momentum
             )
+
+
+def _each(momentum: Momentum | None, was: Impact) -> tuple[FeltImpact, ...]:
+    """The figures of an accident's impacts so far; as they were told where they are not followed any more."""
+    if momentum is None or not momentum.blows:
+        return was.each
+    return each_of([blow.impact for blow in momentum.blows])
 
 
 def _ns(seconds: float) -> int:

@@ -99,6 +99,21 @@ class InjuryRisk:
 
 
 @dataclass(frozen=True, slots=True)
+class FeltImpact:
+    """One of an accident's impacts; figures as of ``Impact``, forward and right as the vehicle headed as it began."""
+
+    t_ns: int
+    duration_s: float
+    delta_v_mps: float
+    delta_v_interval_mps: tuple[float, float]
+    delta_v_b_mps: tuple[float, float]
+    pdof_deg: float
+    pdof_sd_deg: float
+    peak_mps2: float
+    clipped: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Impact:
     """One accident as felt by the vehicle, as far as it is known at ``decided_t_ns``.
 
@@ -114,8 +129,9 @@ class Impact:
     pdof_deg : where the force came from, clockwise seen from above: 0 front, 90 right, 180 rear, 270 left
     confidence : probability in 0..1 that it was an accident
     delta_v_interval_mps : 95 % interval of ``delta_v_mps``; wide where the pulse clipped
-    pdof_sd_deg : spread of the direction; NaN while unknown
+    pdof_sd_deg : spread of the direction, also by which of several impacts was the worst; NaN while unknown
     impacts : how many impacts belong to it so far
+    each : their own figures, in their order; none where they are not known
     rollover : whether the vehicle tipped over
     reasons : what speaks for and against it, in the words of ``core.accident.judgement``
     """
@@ -140,6 +156,7 @@ class Impact:
     delta_v_interval_mps: tuple[float, float] = (math.nan, math.nan)
     pdof_sd_deg: float = math.nan
     impacts: int = 1
+    each: tuple[FeltImpact, ...] = ()
     rollover: bool = False
     injury: InjuryRisk | None = None
     reasons: tuple[str, ...] = ()
@@ -147,12 +164,13 @@ class Impact:
 
 def impact_of(kept: Mapping[str, Any]) -> Impact:
     """An impact of what ``asdict`` and JSON made of one."""
-    pairs = {field: tuple(kept[field]) for field in ("delta_v_b_mps", "delta_v_interval_mps", "reasons")}
     return Impact(
         **(
-            dict(kept)
-            | pairs
+            _with_tuples(kept, "delta_v_b_mps", "delta_v_interval_mps", "reasons")
             | {
+                "each": tuple(
+                    FeltImpact(**_with_tuples(one, "delta_v_b_mps", "delta_v_interval_mps")) for one in kept["each"]
+                ),
                 "severity": Severity(kept["severity"]),
                 "kind": Kind(kept["kind"]),
                 "status": Status(kept["status"]),
@@ -160,6 +178,10 @@ def impact_of(kept: Mapping[str, Any]) -> Impact:
             }
         )
     )
+
+
+def _with_tuples(kept: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return dict(kept) | {name: tuple(kept[name]) for name in names}
 
 
 @dataclass(frozen=True, slots=True)

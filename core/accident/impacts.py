@@ -3,36 +3,61 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import fields, replace
 from typing import Final
 
 import numpy as np
 
 from core.accident import paper_rule
 from core.accident.clipping import Whole, unclip
-from core.accident.events import Impact, Kind, Severity
+from core.accident.events import FeltImpact, Impact, Kind, Severity
 from core.accident.judgement import AIRBAG_DEPLOYED, Aftermath, Evidence, confidence, log_odds, reasons
 from core.accident.level import CLIPPED, SPEED, LevelMotion
 from core.accident.pulse import Pulse
-from core.accident.severity import classify, force_direction_deg, force_direction_sd_deg, injury_risk
-from core.accident.thresholds import DetectorThresholds
+from core.accident.severity import UNIFORM_DEG, classify, force_direction_deg, force_direction_sd_deg, injury_risk
+from core.accident.thresholds import DetectorThresholds, JudgementThresholds
 from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FloatArray
 
 _NOTHING_YET: Final = Aftermath(math.nan, math.nan, 0.0, 0.0, 0.0, airbag=False, power_loss=False)
 
 
+def weighed(level: LevelMotion, pulse: Pulse, limits: DetectorThresholds, *, fell: bool) -> float:
+    """Log-odds that a pulse was an accident, by what was read: what clipping hides is not needed, which is dear."""
+    return log_odds(
+        Evidence(
+            delta_v_mps=pulse.felt_mps,
+            beyond_mps=pulse.beyond_mps,
+            duration_s=pulse.felt_s,
+            swing_mps=pulse.swing_mps,
+            retained=pulse.retained,
+            rate_radps=pulse.rate_radps,
+            jolt_radps=pulse.jolt_radps,
+            tip_radps=pulse.tip_radps,
+            aside=abs(pulse.right_mps) / max(math.hypot(pulse.forward_mps, pulse.right_mps), 1e-9),
+            clipping_s=pulse.clipping_s,
+            pinned=pulse.pinned,
+            sound=pulse.sound,
+            abrupt=pulse.abrupt,
+            speed_mps=float(level.x[pulse.first, SPEED]),
+            stood=pulse.stood,
+            fell=fell and pulse.rate_radps > limits.naming.fallen_radps,
+        ),
+        limits.judgement,
+    )
+
+
+def may_be_braking(pulse: Pulse, limits: JudgementThresholds) -> bool:
+    """Whether a pulse so far is along the way of a vehicle that rolls, and against it, as where brakes grip."""
+    aside = abs(pulse.right_mps) > limits.braking_aside * math.hypot(pulse.forward_mps, pulse.right_mps)
+    return pulse.forward_mps < 0.0 and not aside and not pulse.stood
+
+
 def felt(
-    level: LevelMotion,
-    pulse: Pulse,
-    row: int,
-    name: str,
-    limits: DetectorThresholds,
-    *,
-    fell: bool,
-    parked: bool,
-) -> tuple[Impact, float, Whole | None]:
-    """The accident that a pulse would be, decided at ``row``, its log-odds, and what it was where it clipped."""
+    level: LevelMotion, pulse: Pulse, row: int, odds: float, name: str, limits: DetectorThresholds, *, parked: bool
+) -> tuple[Impact, Whole | None]:
+    """The accident that a pulse of such log-odds is, decided at ``row``, and what it was where it clipped."""
     t_ns, x = level.t_ns, level.x
     delta_v, duration_s = math.hypot(pulse.forward_mps, pulse.right_mps), pulse.duration_s
     direction = (pulse.forward_mps / max(delta_v, 1e-9), pulse.right_mps / max(delta_v, 1e-9))
@@ -49,23 +74,6 @@ def felt(
         direction = (float(whole.direction[0]), float(whole.direction[1]))
         interval = (max(delta_v - math.hypot(low, 1.96 * sd), 0.0), delta_v + math.hypot(high, 1.96 * sd))
         sd = math.hypot(sd, whole.sd_mps)
-    evidence = Evidence(
-        delta_v_mps=pulse.felt_mps,
-        beyond_mps=pulse.beyond_mps,
-        duration_s=pulse.felt_s,
-        swing_mps=pulse.swing_mps,
-        retained=pulse.retained,
-        rate_radps=pulse.rate_radps,
-        jolt_radps=pulse.jolt_radps,
-        tip_radps=pulse.tip_radps,
-        aside=abs(pulse.right_mps) / max(math.hypot(pulse.forward_mps, pulse.right_mps), 1e-9),
-        clipping_s=pulse.clipping_s,
-        abrupt=pulse.abrupt,
-        speed_mps=float(x[pulse.first, SPEED]),
-        stood=pulse.stood,
-        fell=fell and pulse.rate_radps > limits.naming.fallen_radps,
-    )
-    odds = log_odds(evidence, limits.judgement)
     pdof_deg = force_direction_deg(*direction)
     impact = Impact(
         t_ns=int(t_ns[pulse.first]),
@@ -88,7 +96,7 @@ def felt(
         injury=injury_risk(interval, pdof_deg),
         reasons=reasons(_NOTHING_YET, limits.aftermath, clipped=whole is not None, rollover=False),
     )
-    return impact, odds, whole
+    return impact, whole
 
 
 def refined(impact: Impact, mean_mps: FloatArray, covariance: FloatArray, limits: DetectorThresholds) -> Impact:
@@ -112,6 +120,26 @@ def refined(impact: Impact, mean_mps: FloatArray, covariance: FloatArray, limits
     )
 
 
+def each_of(impacts: Sequence[Impact]) -> tuple[FeltImpact, ...]:
+    """The figures of an accident's impacts, each as it would be told were it the worst."""
+    names = [field.name for field in fields(FeltImpact)]
+    return tuple(FeltImpact(**{name: getattr(impact, name) for name in names}) for impact in impacts)
+
+
+def unsure_direction_sd_deg(impacts: Sequence[Impact], at: int) -> float:
+    """Spread of the direction of the worst of an accident's impacts, the one ``at``, where another may as well be it.
+
+    Each other weighs by the probability that its change of velocity is no less (normal, independent of the worst's).
+    """
+    worst, weights, squares = impacts[at], 1.0, impacts[at].pdof_sd_deg ** 2
+    for other in (*impacts[:at], *impacts[at + 1 :]):
+        sd = max(math.hypot(worst.delta_v_sd_mps, other.delta_v_sd_mps), 1e-6)
+        weight = 0.5 * math.erfc((worst.delta_v_mps - other.delta_v_mps) / (math.sqrt(2.0) * sd))
+        off_deg = math.remainder(other.pdof_deg - worst.pdof_deg, 360.0)
+        weights, squares = weights + weight, squares + weight * (off_deg**2 + other.pdof_sd_deg**2)
+    return min(math.sqrt(squares / weights), UNIFORM_DEG)
+
+
 def belonging(impact: Impact, accident: Impact) -> Impact:
     """An impact as an accident's worst, that was told before with another one's figures."""
     return replace(
@@ -119,6 +147,7 @@ def belonging(impact: Impact, accident: Impact) -> Impact:
         t_ns=accident.t_ns,
         revision=accident.revision,
         impacts=accident.impacts,
+        each=accident.each,
         kind=accident.kind,
         rollover=accident.rollover or impact.rollover,
         speed_before_mps=accident.speed_before_mps,

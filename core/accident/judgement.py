@@ -33,6 +33,8 @@ class Evidence:
     stood : whether the vehicle had stood
     clipping_s : for how long an axis of the accelerometer read its full scale at a stretch
     fell : whether the box fell freely just before
+    pinned : whether an axis jumped to its full scale and nothing else moved more than it had before
+    sound : share of the change that is left without the spikes of single samples
     """
 
     delta_v_mps: float
@@ -49,6 +51,8 @@ class Evidence:
     stood: bool
     clipping_s: float
     fell: bool
+    pinned: bool
+    sound: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +97,17 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     glitch = short and evidence.jolt_radps < limits.abrupt_radps and not (unknown and evidence.clipping_s > 0.0)
     sharp = evidence.abrupt < limits.sharp_share and evidence.clipping_s == 0.0
     glitch = glitch or (sharp and evidence.jolt_radps < limits.sharp_radps)
+    spiked = evidence.sound < limits.sound_share and evidence.jolt_radps < limits.sharp_radps
     # What clipped was harder than it read, and what swells or rings is a body's, though no gyroscope felt it.
     weak = evidence.delta_v_mps < limits.unturned_mps and evidence.clipping_s == 0.0 and evidence.abrupt < 1.0
     unturned = weak and 0.0 < evidence.jolt_radps < limits.unturned_radps
-    glitch = glitch or unturned or evidence.delta_v_mps > limits.most_mps
+    glitch = glitch or spiked or unturned or evidence.delta_v_mps > limits.most_mps
     if _stopped_by_a_stone(evidence, limits):
         total -= limits.crawl
-    stuck = evidence.clipping_s > limits.stuck_s or (
-        evidence.clipping_s > limits.still_s and _is_still(evidence, limits)
+    stuck = (
+        evidence.pinned
+        or evidence.clipping_s > limits.stuck_s
+        or (evidence.clipping_s > limits.still_s and _is_still(evidence, limits))
     )
     return min(total, limits.impossible) if glitch or stuck or evidence.fell else total
 

@@ -159,8 +159,9 @@ def checked(
 
 def settled(
     was: Momentum, t_ns: TimeArray, x: FloatArray, row: int, registers: TimeArray, limits: AftermathThresholds
-) -> tuple[Impact, FloatArray, FloatArray] | None:
-    """The worst impact, its change of velocity along forward and right at its start, and its covariance, SI units.
+) -> tuple[int, FloatArray, FloatArray] | None:
+    """Which impact was the worst, and of each the change of velocity along forward and right at its start, (n, 2), with
+    covariance, (n, 2, 2), SI units.
 
     At rest the velocity is zero, and what the accelerometer then reads is its error; a car that rolls goes where it
     heads as fast as the filter says. What the velocity changed by more than was read was hidden by clipping: a
@@ -192,14 +193,17 @@ def settled(
     prior = prior * max(surprise / (limits.contradiction * len(checks)), 1.0)
     gain = prior @ sums.T @ np.linalg.inv(sums @ prior @ sums.T + known)
     means, spread = means + gain @ innovation, prior - gain @ sums @ prior
-    at = max(range(len(was.blows)), key=lambda k: math.hypot(means[2 * k], means[2 * k + 1]))
-    worst, its = was.blows[at], slice(2 * at, 2 * at + 2)
-    read = np.array(worst.read)
-    if float(means[its] @ read) < limits.read_share * float(read @ read):
+    blows = [slice(2 * k, 2 * k + 2) for k in range(len(was.blows))]
+    at = max(range(len(blows)), key=lambda k: math.hypot(*means[blows[k]]))
+    read = np.array(was.blows[at].read)
+    if float(means[blows[at]] @ read) < limits.read_share * float(read @ read):
         return None
-    cos, sin = worst.heading
-    turn = np.array([[cos, sin], [-sin, cos]])
-    return worst.impact, turn @ means[its], turn @ spread[its, its] @ turn.T
+    turns = [np.array([[cos, sin], [-sin, cos]]) for cos, sin in (blow.heading for blow in was.blows)]
+    return (
+        at,
+        np.array([turn @ means[its] for turn, its in zip(turns, blows, strict=True)]),
+        np.array([turn @ spread[its, its] @ turn.T for turn, its in zip(turns, blows, strict=True)]),
+    )
 
 
 def _last_check(

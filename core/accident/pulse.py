@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numba import njit
 
+from core.accident.converters import pinned, sound_share
 from core.accident.level import (
     A_X,
     A_Y,
@@ -43,6 +44,7 @@ class Pulse(NamedTuple):
     how much of it clipped and ``clipping_s`` for how long an axis read its full scale at a stretch, ``abrupt`` the
     acceleration right before and after as a share of its peak, ``rate_radps`` the fastest rotation and ``jolt_radps``
     the largest change of it, ``tip_radps`` that of roll and pitch alone, ``stood`` whether the vehicle had stood.
+    ``pinned`` and ``sound`` say how far it is a converter's doing: see ``converters``.
     """
 
     first: int
@@ -64,12 +66,12 @@ class Pulse(NamedTuple):
     tip_radps: float
     levelled: bool
     stood: bool
+    pinned: bool
+    sound: float
 
 
 LASTS: Final = 0.1
 """Abruptness that what goes on over more than three samples has at least: no spike, if edged. A choice."""
-HELD: Final = 0.01
-"""By less of itself the specific force's length changes from sample to sample where an axis hangs. A choice."""
 SHAKEN_MPS: Final = 0.15
 SHAKEN: Final = 0.04
 """Vertical change of velocity, m/s and as a share of the horizontal one, that a blow leaves and a horizontal axis
@@ -365,19 +367,6 @@ def _rings(
     return False
 
 
-@njit(cache=True, nogil=True)
-def hangs(x: FloatArray, first: int, last: int, jolt_radps: float, unturned_radps: float) -> bool:
-    """Whether an axis reads its full scale between two rows and the others hardly move, as roads shake them at most: a
-    blow would, and would turn the vehicle."""
-    clipped = held = 0
-    for k in range(first + 1, last + 1):
-        if x[k, CLIP_S] > 0.0 and x[k - 1, CLIP_S] > 0.0:
-            clipped += 1
-            if abs(x[k, FORCE] - x[k - 1, FORCE]) < HELD * x[k, FORCE]:
-                held += 1
-    return x[last, CLIP_S] > 0.0 and (2 * held >= clipped or 0.0 < jolt_radps < unturned_radps)
-
-
 def spin_from(x: FloatArray, start: int, first: int, spin_radps: float) -> int | None:
     """Where rows from ``start`` on are of a car that spins as row ``first`` begins, the row by which a blow had turned
     it so fast; None where it does not."""
@@ -432,4 +421,6 @@ def read_pulse(
         tip_radps=tip,
         levelled=levelled,
         stood=stood,
+        pinned=pinned(t_ns, x, flags, first, ends[0]),
+        sound=sound_share(t_ns, x, first, last, ends[0]),
     )

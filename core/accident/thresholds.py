@@ -267,7 +267,17 @@ class JudgementThresholds(Tunables):
         0.85, unit="1", low=0.5, high=0.999, source="choice: what is not over yet is told only where it is plain"
     )
     tell_late: float = tunable(
-        0.7, unit="1", low=0.5, high=0.999, source="choice: the same at the last looks, as 150 ms are nearly over"
+        0.7, unit="1", low=0.5, high=0.999, source="choice: the same from late_s on, where it may be braking"
+    )
+    late_s: float = tunable(
+        0.1, unit="s", low=0.05, high=0.3, source="choice: from a pulse's start on, as 150 ms are nearly over"
+    )
+    braking_aside: float = tunable(
+        0.25,
+        unit="1",
+        low=0.0,
+        high=1.0,
+        source="simulated: emergency braking pushes aside by 0.15 of it and less; steering builds up slower than blows",
     )
     retract: float = tunable(
         0.3, unit="1", low=0.0, high=0.9, source="choice: below tell, so that what is told does not flicker"
@@ -351,6 +361,9 @@ class JudgementThresholds(Tunables):
     )
     sharp_radps: float = tunable(
         0.5, unit="rad/s", low=0.0, high=5.0, source="choice: rough roads turn a car by less meanwhile"
+    )
+    sound_share: float = tunable(
+        0.3, unit="1", low=0.0, high=1.0, source="simulated: 0.38 and more of crashes, next to nothing of spikes"
     )
     unturned_radps: float = tunable(
         0.05,

@@ -82,11 +82,9 @@ SHAKEN_NS: Final = 2_500_000_000
 """How long an accident's own shaking lasts in the mean of a second, ns; what shakes later is the ground. A choice."""
 TOLD: Final = 99
 """In place of the looks where one of them told it."""
-LATE: Final = 3
-"""The first of the last looks, 109 ms from a pulse's start. A choice."""
-LOOKS: Final = 5
-LOOK_NS: Final = 12_000_000
-"""How often a pulse that goes on is looked at before it is over, and how far apart, ns: up to 133 ms from its start.
+LOOKS: Final = 7
+LOOK_NS: Final = 10_000_000
+"""How often a pulse that goes on is looked at before it is over, and how far apart, ns: up to 145 ms from its start.
 A choice."""
 
 

@@ -130,6 +130,7 @@ def _accident_of(connection: Connection, candidate: CandidateRow, accident_id: s
                 "clipped": False,
                 "speed_before_mps": felt["speed_before_mps"],
                 "impacts": 1,
+                "each_impact": [],
                 "rollover": False,
                 "injury": None,
                 "reasons": [SAID_BY_PERSON],

@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+from core.accident.events import Impact
 from core.accident.placing import Accident, Place, Suppressed
 from service.stable_ids import stable_id
 from service.storage.accidents import AccidentRow
@@ -54,11 +55,30 @@ def impact_figures(accident: Accident) -> dict[str, Any]:
         "clipped": impact.clipped,
         "speed_before_mps": finite_or_none(impact.speed_before_mps),
         "impacts": impact.impacts,
+        "each_impact": each_impact(impact),
         "rollover": impact.rollover,
         "injury": None if impact.injury is None else asdict(impact.injury),
         "reasons": list(impact.reasons),
         "paper_agrees": impact.paper_agrees,
     }
+
+
+def each_impact(impact: Impact) -> list[dict[str, Any]]:
+    """``schemas.impacts.SingleImpact`` of each of an accident's impacts."""
+    return [
+        {
+            "after_s": (one.t_ns - impact.t_ns) * 1e-9,
+            "duration_s": one.duration_s,
+            "delta_v_mps": one.delta_v_mps,
+            "delta_v_interval_mps": [finite_or_none(bound) for bound in one.delta_v_interval_mps],
+            "delta_v_b_mps": [finite_or_none(part) for part in one.delta_v_b_mps],
+            "pdof_deg": finite_or_none(one.pdof_deg),
+            "pdof_sd_deg": finite_or_none(one.pdof_sd_deg),
+            "peak_mps2": one.peak_mps2,
+            "clipped": one.clipped,
+        }
+        for one in impact.each
+    ]
 
 
 def candidate_row(ref: VehicleRef, suppressed: Suppressed, *, received_ns: int, stored_ns: int) -> CandidateRow:

@@ -93,8 +93,19 @@ def _described(name: str, one: Mapping[str, Any]) -> Iterable[str]:
         f"  {name}: direction off by {_three(direction['error_deg'], 1)} deg, {_percent(direction['beyond_15_deg'])}"
         f" by more than 15 ({_percent(direction['unclipped_beyond_15_deg'])} of the unclipped,"
         f" {_percent(direction['clipped_beyond_15_deg'])} of the clipped); told after {_three(delay['delay_s'], 3)} s,"
-        f" {_percent(delay['beyond_150_ms'])} later than 150 ms"
+        f" {_percent(delay['beyond_150_ms'])} later than 150 ms; the direction's 95 % interval covers"
+        f" {_percent(direction['interval_coverage'])}"
     )
+    each = one["each_impact"]
+    for part in ("unclipped", "clipped"):
+        if each[part]["count"]:
+            yield (
+                f"  {name}: {each['accidents']} accidents of several impacts, {each['told']['share']:.1%} of whose"
+                f" {each['count']} were told, {each[part]['count']} {part}: change of velocity off by"
+                f" {_three(each[part]['relative_error'], 2)} of it, interval covers"
+                f" {_percent(each[part]['interval_coverage'])}, direction of {_percent(each[part]['beyond_15_deg'])}"
+                " off by more than 15 deg"
+            )
     if (late := delay.get("late")) is not None:
         yield (
             f"  {name}: {late['count']} later than 150 ms: by then the true motion exceeded what tyres and brakes can"

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import beta, chi2
 
 from core.accident.detector import ImpactDetector
-from core.accident.events import Candidate, Impact, NoAccident, Status, VehicleMotion
+from core.accident.events import Candidate, FeltImpact, Impact, NoAccident, Status, VehicleMotion
 from core.accident.paper_rule import PaperRule
 from core.accident.thresholds import JudgementThresholds, TriggerThresholds
 from core.simulation.accident_classes import LOW_SPEED_MPS
@@ -29,6 +29,8 @@ BEFORE_NS: Final = 1_000_000_000
 AFTER_NS: Final = 5_000_000_000
 """What is told from so long before an accident's first blow to so long after its last belongs to it, ns."""
 NAMED_AFTER_NS: Final = 2_000_000_000
+SAME_NS: Final = 200_000_000
+"""An impact that is told so near to a true one is that one, ns: less than is between two of the corpus."""
 CONFIDENCE_EDGES: Final = (0.0, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
 
 NAMES: Final[Mapping[NonAccident, frozenset[NoAccident]]] = {
@@ -135,12 +137,41 @@ def accident_record(
             "clipped": last.clipped,
             "delta_v_error_mps": last.delta_v_mps - truth.delta_v_mps,
             "in_interval": low <= truth.delta_v_mps <= high if math.isfinite(low) else None,
-            "direction_error_deg": abs(math.remainder(last.pdof_deg - truth.pdof_deg, 360.0)),
+            "direction_error_deg": _off_deg(last.pdof_deg, truth.pdof_deg),
+            "direction_in_interval": _direction_holds(last.pdof_deg, last.pdof_sd_deg, truth.pdof_deg),
+            "each": [
+                _each_record(one, t_ns + round(1e9 * (one["t_s"] - truth.t_s)), last.each) for one in truth.impacts
+            ],
             "kind_told": last.kind.value,
             "rollover_told": last.rollover,
             "confidence": last.confidence,
         }
     return record
+
+
+def _each_record(true: Mapping[str, float], t_ns: int, told: Sequence[FeltImpact]) -> dict[str, Any]:
+    """One of an accident's impacts and what was told of itself."""
+    near = [one for one in told if abs(one.t_ns - t_ns) <= SAME_NS]
+    if not near:
+        return {"told": False}
+    one = min(near, key=lambda one: abs(one.t_ns - t_ns))
+    low, high = one.delta_v_interval_mps
+    return {
+        "told": True,
+        "clipped": one.clipped,
+        "relative_error": abs(one.delta_v_mps - true["delta_v_mps"]) / true["delta_v_mps"],
+        "in_interval": low <= true["delta_v_mps"] <= high,
+        "direction_error_deg": _off_deg(one.pdof_deg, true["pdof_deg"]),
+    }
+
+
+def _off_deg(told_deg: float, true_deg: float) -> float:
+    return abs(math.remainder(told_deg - true_deg, 360.0))
+
+
+def _direction_holds(told_deg: float, sd_deg: float, true_deg: float) -> bool | None:
+    """Whether the true direction is in the 95 % interval that was told; None where none was."""
+    return _off_deg(told_deg, true_deg) <= 1.96 * sd_deg if math.isfinite(sd_deg) else None
 
 
 def accident_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -192,10 +223,38 @@ def accident_figures(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "unclipped_beyond_15_deg": _mean([one["direction_error_deg"] > 15.0 for one in whole]),
             "clipped_beyond_15_deg": _mean([one["direction_error_deg"] > 15.0 for one in clipped]),
             "error_deg": _spread(directions),
+            "interval_coverage": _mean(
+                [one["direction_in_interval"] for one in found if one["direction_in_interval"] is not None]
+            ),
         },
+        "each_impact": _each_figures([one["each"] for one in found if len(one["each"]) > 1]),
         "delay": {"beyond_150_ms": _mean(delays > 0.150), "delay_s": _spread(delays), "late": _late(found)},
         "rollovers_named": _mean([one["rollover_told"] for one in rolled]),
         "parked_hits_named": _mean([one["kind_told"] == "parked_hit" for one in found if one["kind"] == "parked_hit"]),
+    }
+
+
+def _each_figures(accidents: Sequence[Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+    """How well the single impacts of accidents of several were described."""
+    impacts = [one for each in accidents for one in each]
+    told = [one for one in impacts if one["told"]]
+    parts = {
+        "unclipped": [one for one in told if not one["clipped"]],
+        "clipped": [one for one in told if one["clipped"]],
+    }
+    return {
+        "accidents": len(accidents),
+        "count": len(impacts),
+        "told": share([one["told"] for one in impacts]),
+        **{
+            name: {
+                "count": len(ones),
+                "relative_error": _spread(np.array([one["relative_error"] for one in ones])),
+                "interval_coverage": _mean([one["in_interval"] for one in ones]),
+                "beyond_15_deg": _mean([one["direction_error_deg"] > 15.0 for one in ones]),
+            }
+            for name, ones in parts.items()
+        },
     }
 
 

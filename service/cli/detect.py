@@ -12,6 +12,7 @@ from core.accident.placing import Accident, Place, Suppressed, place_at
 from core.accident.profiles import PROFILES, for_vehicle
 from core.driving.manoeuvres import Episode, Manoeuvre
 from core.navigation.track import Track
+from service.accidents.rows import each_impact
 from service.cli.drives import add_drive, fuse_with_progress, open_drive
 
 _TYPES: Final = {
@@ -74,6 +75,7 @@ def _accident(accident: Accident, start_t_ns: int) -> dict[str, Any]:
         "duration_s": impact.duration_s,
         "clipped": impact.clipped,
         "impacts": impact.impacts,
+        "each_impact": each_impact(impact),
         "rollover": impact.rollover,
         "injury": None if impact.injury is None else asdict(impact.injury),
         "speed_before_mps": _finite(impact.speed_before_mps),

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -108,6 +108,7 @@ class Dossier:
             ("peak, duration", f"{number(felt['peak_mps2'] / 9.80665, 'g', 1)}, {1000 * felt['duration_s']:.0f} ms"),
             ("speed before", "–" if felt["speed_before_mps"] is None else f"{_kmh(felt['speed_before_mps'])} km/h"),
             ("impacts", str(felt["impacts"])),
+            *_each_impact(felt["each_impact"]),
             ("injury MAIS 3+", "–" if injury is None else f"{100 * injury['probability']:.1f} % "
              f"({100 * injury['low']:.1f} to {100 * injury['high']:.1f} %), {injury['source']}"),
         ]  # fmt: skip
@@ -345,6 +346,19 @@ def _mounting(found: dict[str, object] | None) -> str:
         f"{name} {number(math.degrees(one), '°', 1)}" for name, one in zip(("roll", "pitch", "yaw"), rpy, strict=True)
     )
     return f"{angles} ({'given' if found['given'] else 'found' if found['found'] else 'nominal'})"
+
+
+def _each_impact(impacts: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """A line an impact, where there are several."""
+    lines = []
+    for at, one in enumerate(impacts, 1):
+        low, high = ("∞" if bound is None else _kmh(bound) for bound in one["delta_v_interval_mps"])
+        line = (
+            f"after {number(one['after_s'], 's', 2)}: Δv {_kmh(one['delta_v_mps'])} km/h, 95 % within {low} and {high}"
+        )
+        line += f" km/h, from {number(one['pdof_deg'], '°', 0)} ± {number(one['pdof_sd_deg'], '°', 0)}"
+        lines.append((f"impact {at}", line + (", read its full scale" if one["clipped"] else "")))
+    return lines if len(lines) > 1 else []
 
 
 def _word(text: str) -> str:

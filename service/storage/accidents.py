@@ -28,11 +28,12 @@ _FORMERLY_UNSAID: Final[Mapping[str, Any]] = {
     "delta_v_interval_mps": [None, None],
     "pdof_sd_deg": None,
     "impacts": 1,
+    "each_impact": [],
     "rollover": False,
     "injury": None,
     "reasons": [],
 }
-"""Figures that accidents of the first version do not have."""
+"""Figures that accidents of earlier versions do not have."""
 
 
 @dataclass(frozen=True, slots=True)

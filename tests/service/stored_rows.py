@@ -86,6 +86,7 @@ def accident_row(tenant, pk, second, lat_deg=57.7, lon_deg=11.97, severity="seve
             "clipped": False,
             "speed_before_mps": 14.0,
             "impacts": 1,
+            "each_impact": [],
             "rollover": False,
             "injury": {"probability": 0.02, "low": 0.005, "high": 0.08, "source": "made up"},
             "reasons": ["stood still afterwards"],

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from core.accident.events import Candidate, Impact, NoAccident, Severity, Status
+from core.accident.events import Candidate, FeltImpact, Impact, NoAccident, Severity, Status
 from core.accident.thresholds import JudgementThresholds
 from core.simulation.collisions import Truth
 from core.simulation.corpus import accident_case, quiet_case
@@ -98,6 +98,25 @@ def test_an_accident_told_in_steps_is_one_story_judged_by_its_last_step_and_time
     assert figures["recall"]["all"]["share"] == 1.0
     assert figures["delta_v_unclipped"]["outside_10_percent_and_1_kmh"] == 0.0
     assert figures["direction"]["beyond_15_deg"] == 0.0
+
+
+def test_of_an_accident_of_several_impacts_each_is_judged_by_what_was_told_of_itself():
+    true = [
+        {"t_s": 10.0 + at, "delta_v_mps": 4.0, "pdof_deg": pdof_deg, "duration_s": 0.1, "peak_mps2": 60.0}
+        for at, pdof_deg in ((0.0, 5.0), (1.0, 90.0), (2.0, 180.0))
+    ]
+    each = tuple(
+        FeltImpact(T_NS + round(at * 1e9), 0.1, 4.4, interval, (0.0, 0.0), pdof_deg, 5.0, 60.0, clipped)
+        for at, pdof_deg, interval, clipped in ((0.0, 355.0, (3.9, 4.9), False), (1.1, 120.0, (4.1, 4.7), True))
+    )
+    one = impact(each=each, pdof_deg=355.0, pdof_sd_deg=5.0)
+    figures = accident_figures([accident_record(truth(impacts=true), T_NS, False, stories([one]), [])])
+    of_each = figures["each_impact"]
+    assert (of_each["accidents"], of_each["count"], of_each["told"]["share"]) == (1, 3, pytest.approx(2 / 3))
+    assert (of_each["unclipped"]["beyond_15_deg"], of_each["clipped"]["beyond_15_deg"]) == (0.0, 1.0)  # 10 and 30 deg
+    assert (of_each["unclipped"]["interval_coverage"], of_each["clipped"]["interval_coverage"]) == (1.0, 0.0)
+    assert of_each["clipped"]["relative_error"]["median"] == pytest.approx(0.1)
+    assert figures["direction"]["interval_coverage"] == 0.0  # 10 deg off, 1.96 times 5 deg told
 
 
 def test_an_accident_that_was_retracted_was_not_found():

@@ -36,7 +36,7 @@ from core.rotation import matrix_from_rpy, rpy_from_matrix
 from core.sensors import MagnetometerCalibration, TriadCalibration
 from core.snapshot import pack, unpack
 
-SNAPSHOT_VERSION: Final = 6
+SNAPSHOT_VERSION: Final = 7
 KNOWN_MOUNTING_SD_RAD: Final = 0.01
 """Spread of a mounting that was measured: half a degree, by hand."""
 AXES_SD_RAD: Final = 0.014

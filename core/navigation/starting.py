@@ -80,6 +80,7 @@ def begin(
         x[LEARNT_OF_FIXES] = before[LEARNT_OF_FIXES]
         x[LEARNT_OF_DRIFT] = before[LEARNT_OF_DRIFT]
         x[LEARNT_OF_SPRINGS] = before[LEARNT_OF_SPRINGS]
+        x[state.X_WARMING] = before[state.X_WARMING]  # of the box, not of its way
     slow = slow_share(x, tuning.as_array())
     x[state.X_SLOW_VAR : state.X_SLOW_VAR + 2] = slow * np.square(found.position_sd_m)
 

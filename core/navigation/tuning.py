@@ -42,6 +42,22 @@ class Tuning(Tunables):
     warming_s: float = tunable(
         60.0, unit="s", low=1, high=3600, source="choice: the longest outage that a bias drifts one way in"
     )
+    warming_seen_s: float = tunable(
+        20.0, unit="s", low=1, high=600, source="choice: 10 to 40 s tell as soon, and as surely, in simulated boxes"
+    )
+    gate_warming: float = tunable(
+        16.0,
+        unit="1",
+        low=1,
+        high=1e6,
+        source="choice: 4 sd; boxes at one temperature reach 3.6 sd in recorded drives, 1.7 in simulated ones",
+    )
+    warming_least_kps: float = tunable(
+        0.05, unit="K/s", low=0, high=10, source="choice: 15 K in 5 min; corrections lag behind a drift just found"
+    )
+    warming_fades_s: float = tunable(
+        180.0, unit="s", low=1, high=36000, source="choice: a box takes minutes to warm up, some 300 s"
+    )
     gyro_bias_sd_radps: float = tunable(
         1.0e-2, unit="rad/s", low=1e-7, high=1.0, source="turn-on bias of a consumer gyroscope about 0.5 deg/s"
     )

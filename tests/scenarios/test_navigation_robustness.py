@@ -7,13 +7,8 @@ import pytest
 from tests.robustness import CASES, DRIVES, OWN_SOLUTION, RECOVERY_S, measured
 
 # What the navigation does not do yet, each with its cause. One that passes all the same fails, so that this stays true.
-WARM = "biases drift by 0.2 deg/s and 0.03 m/s2 in 100 s, and nothing says that the box warms up"
 CANYON = "a height that reflections pulled off by 2.9 sd is so by 3.3 sd where it is warm"
-WARMED = ("city 1", "city 2", "outages 1", "outages 2", "kth", "boston")
-SHORT = {
-    **{("unnoticed", "temperature unsaid", drive): WARM for drive in WARMED},
-    ("unnoticed", "temperature", "city 2"): CANYON,
-}
+SHORT = {("unnoticed", "temperature", "city 2"): CANYON}
 
 
 def known(what, case, where):

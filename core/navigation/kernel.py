@@ -13,11 +13,11 @@ import numpy as np
 from core.compiled import compiled
 from core.measurements import FloatArray, TimeArray
 from core.navigation.admission import MAX_LATITUDE_RAD
-from core.navigation.found_warming import learn_warming
 from core.navigation.constraints import fuse_non_holonomic, fuse_speed, fuse_standstill
 from core.navigation.correction import Work, count
 from core.navigation.error_model import propagate
 from core.navigation.field_aiding import fuse_barometer, fuse_magnetic
+from core.navigation.found_warming import learn_warming
 from core.navigation.gnss_aiding import fuse_position, fuse_velocity, lost, repeats, too_old
 from core.navigation.kalman import symmetrise
 from core.navigation.mechanization import fold_position, matrix_of, renew_mounting, turned

@@ -86,7 +86,8 @@ X_BIAS_SCORE: Final = 111  # fading sum of the same over its sd, 3
 X_BIAS_SECONDS: Final = 114  # seconds that the first of these sums is of, fading alike
 X_BIAS_SCORE_VAR: Final = 115  # variance of the second
 X_WARMING: Final = 116  # rate of the box's temperature that they show, K/s
-X_RING: Final = 117  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
+X_WORSE: Final = 117  # variance of fixes over what is stated of it, as their innovations grow and shrink; 1 at least
+X_RING: Final = 118  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
 N_BLOCKS: Final = 10
 NX: Final = X_RING + 6 * N_BLOCKS
 

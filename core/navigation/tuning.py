@@ -113,10 +113,14 @@ class Tuning(Tunables):
         6.0, unit="1", low=2, high=100, source="over what is believed at most: 3e-3 by chance, as between houses"
     )
     gnss_worse_margin: float = tunable(
-        1.3, unit="1", low=1, high=10, source="choice: so that fixes as good as stated are taken to be; 1.5 does alike"
+        1.3,
+        unit="1",
+        low=1,
+        high=10,
+        source="choice: fixes as good as stated are taken to be; 1.5 does less in streets",
     )
     gnss_worse_gain: float = tunable(
-        0.1, unit="1", low=0, high=1, source="choice: a street lasts a minute; 0.1 to 0.2 do alike in simulated ones"
+        0.1, unit="1", low=0, high=1, source="choice: a street lasts a minute; 0.15 recovers later from a clock's step"
     )
     gnss_worse_most: float = tunable(
         6.0, unit="1", low=1, high=100, source="choice: sd 2.4 times those stated; beyond, a receiver is wrong"

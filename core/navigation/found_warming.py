@@ -63,7 +63,8 @@ def learn_warming(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) 
             variance = p[(GYRO_BIAS + i) * (N_STATES + 1)]
             shrunk = max(x[X_BIAS_VAR_THEN + i] - variance, LEAST_SHRUNK * variance)
             moved = x[X_BG + i] - x[X_BIAS_THEN + i]
-            score = min(max(moved / math.sqrt(shrunk), -MOST_SD), MOST_SD)
+            # A bias that is given, and walks not at all, is not moved.
+            score = min(max(moved / math.sqrt(shrunk), -MOST_SD), MOST_SD) if shrunk > 0.0 else 0.0
             x[X_BIAS_MOVED + i] = kept * x[X_BIAS_MOVED + i] + moved
             # Each second counts alike, so that the wide moves of an alignment hide no drift for long.
             x[X_BIAS_SCORE + i] = kept * x[X_BIAS_SCORE + i] + score

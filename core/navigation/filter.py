@@ -436,7 +436,7 @@ class NavigationFilter:
         self._known[0] = False
         self._aligner.forget()
         if self.aligned:
-            forget_biases(self.x, self.p, self.config.tuning)
+            forget_biases(self.x, self.ti, self.p, self.config.tuning)
             self._recent.begin(self.x, self.ti, self.p)
 
     # Snapshots

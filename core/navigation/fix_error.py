@@ -7,7 +7,8 @@ sec. 14.2.6), so that many fixes do not promise more than they can hold.
 
 Innovations see only what changes between fixes. Where fixes drift less against the path than that state would, it is
 made as small as their drift, and what is stated beyond is an offset that no fix shows: it moves nothing, and is told
-in the spread of positions.
+in the spread of positions. Where innovations are larger than all of that allows, the receiver states too little, and
+its variances are taken for larger as long as they are.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from core.navigation.state import (
     X_V,
     X_WHITE_FIXES,
     X_WHITE_SHARE,
+    X_WORSE,
 )
 from core.navigation.tuning import PARAMETER
 
@@ -45,6 +47,9 @@ _P_DRIFT_CHANGE = PARAMETER["gnss_drift_change"]
 _P_FLOOR = PARAMETER["gnss_sd_floor_m"]
 _P_LEARN = PARAMETER["gnss_learn_fixes"]
 _P_MARGIN = PARAMETER["gnss_share_margin"]
+_P_WORSE_MARGIN = PARAMETER["gnss_worse_margin"]
+_P_WORSE_GAIN = PARAMETER["gnss_worse_gain"]
+_P_WORSE_MOST = PARAMETER["gnss_worse_most"]
 
 DRIVING_MPS = 1.0
 """Below this a receiver may hold its fix, and reflections stay: it drifts less than it errs. A choice."""
@@ -170,3 +175,22 @@ def learn_share(x: FloatArray, nu_sq: float, own: float, stated: float, par: Flo
     x[X_WHITE_FIXES] = min(x[X_WHITE_FIXES] + 1.0, par[_P_LEARN])
     share = min((nu_sq - own) / stated, WILD_RATIO)
     x[X_WHITE_SHARE] = max(0.0, x[X_WHITE_SHARE] + (share - x[X_WHITE_SHARE]) / x[X_WHITE_FIXES])
+
+
+@compiled()
+def worse(x: FloatArray, par: FloatArray) -> float:
+    """By what factor a fix's horizontal variance is taken for larger than the receiver states."""
+    return float(max(1.0, x[X_WORSE] / par[_P_WORSE_MARGIN]))
+
+
+@compiled()
+def learn_worse(x: FloatArray, nis: float, par: FloatArray) -> None:
+    """Follow by an innovation's square over its variance, of mean 1 where all is as stated, how wrong a receiver is.
+
+    Stochastic approximation of the variance at which they agree but for the margin (Robbins & Monro 1951), in its
+    logarithm, and so quick that it is there within a street: between houses receivers see that the sky is bad, but
+    not how bad.
+    """
+    margin = par[_P_WORSE_MARGIN]
+    factor = x[X_WORSE] * (1.0 + par[_P_WORSE_GAIN] * (nis - margin))
+    x[X_WORSE] = min(max(factor, 1.0), margin * par[_P_WORSE_MOST])

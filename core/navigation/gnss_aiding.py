@@ -15,7 +15,7 @@ from core.compiled import compiled
 from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation.admission import position_sd_m
 from core.navigation.correction import Work, correct, count, record
-from core.navigation.fix_error import decay, learn_drift, learn_share, moving_share, slow_share
+from core.navigation.fix_error import decay, learn_drift, learn_share, learn_worse, moving_share, slow_share, worse
 from core.navigation.kalman import along_six, decorrelate, project_six, update, update_pair
 from core.navigation.mechanization import fold_position, matrix_of
 from core.navigation.state import (
@@ -200,9 +200,10 @@ def fuse_position(
     n, dx, ph, ph2 = work[0], work[1], work[2], work[3]
     sd_h, sd_v = position_sd_m(fix, par)
     stated = sd_h * sd_h
+    taken = stated * worse(x, par)
     slow, moving = slow_share(x, par), moving_share(x, stated, par)
-    decay(x, ti, p, n, (slow * stated, slow * sd_v * sd_v), moving, par)
-    x[X_UNSEEN], x[X_UNSEEN + 1] = (1.0 - moving) * slow * stated, (1.0 - moving) * slow * sd_v * sd_v
+    decay(x, ti, p, n, (slow * taken, slow * sd_v * sd_v), moving, par)
+    x[X_UNSEEN], x[X_UNSEEN + 1] = (1.0 - moving) * slow * taken, (1.0 - moving) * slow * sd_v * sd_v
     lag_s = (ti[T_NOW] - t_ns) * 1e-9 + x[X_GNSS_DELAY]
     c = matrix_of(x[X_Q], x[X_Q + 1], x[X_Q + 2], x[X_Q + 3])
     ln = c[0] * lever_b[0] + c[1] * lever_b[1] + c[2] * lever_b[2]
@@ -224,7 +225,7 @@ def fuse_position(
     row_n = (1.0, 1.0, -vn, 0.0, ld, -le)
     row_e = (1.0, 1.0, -ve, -ld, 0.0, ln)
     white = max(x[X_WHITE_SHARE], par[_P_WHITE_FLOOR])
-    rr = white * stated
+    rr = white * taken
     own_n = project_six(p, n, at_n, row_n, ph)
     own_e = project_six(p, n, at_e, row_e, ph2)
     snn, see, sne = own_n + rr, own_e + rr, along_six(at_e, row_e, ph)
@@ -242,7 +243,8 @@ def fuse_position(
     count(ti, A_POSITION, outcome)
     if fused:
         learn_drift(x, ti, t_ns, nu_n + x[X_GNSS_ERROR], nu_e + x[X_GNSS_ERROR + 1], stated, par)
-        learn_share(x, 0.5 * (nu_n * nu_n + nu_e * nu_e), 0.5 * (own_n + own_e), stated, par)
+        learn_share(x, 0.5 * (nu_n * nu_n + nu_e * nu_e), 0.5 * (own_n + own_e), taken, par)
+        learn_worse(x, 0.5 * ratio * par[_P_GATE_POS], par)
         share = sne / snn
         decorrelate(n, ph, ph2, share)
         update_pair(p, n, ph, 1.0 / snn, nu_n, ph2, 1.0 / (see - share * sne), nu_e - share * nu_n, dx)

@@ -17,6 +17,7 @@ from core.navigation.constraints import fuse_non_holonomic, fuse_speed, fuse_sta
 from core.navigation.correction import Work, count
 from core.navigation.error_model import propagate
 from core.navigation.field_aiding import fuse_barometer, fuse_magnetic
+from core.navigation.found_warming import learn_warming
 from core.navigation.gnss_aiding import fuse_position, fuse_velocity, lost, repeats, too_old
 from core.navigation.kalman import symmetrise
 from core.navigation.mechanization import fold_position, matrix_of, renew_mounting, turned
@@ -62,6 +63,7 @@ from core.navigation.state import (
     X_ALT,
     X_BA,
     X_BG,
+    X_BIAS_VAR_THEN,
     X_BLOCK,
     X_BRIDGED_S,
     X_C0,
@@ -80,6 +82,7 @@ from core.navigation.state import (
     X_TURN,
     X_V,
     X_W,
+    X_WARMING,
 )
 from core.navigation.stillness import close_block
 from core.navigation.tuning import PARAMETER
@@ -115,6 +118,9 @@ _GYRO_NOISE = PARAMETER["gyro_noise_radps_rts"]
 _ACCEL_NOISE = PARAMETER["accel_noise_mps2_rts"]
 _BG_WALK = PARAMETER["gyro_bias_walk_radps2_rts"]
 _BA_WALK = PARAMETER["accel_bias_walk_mps3_rts"]
+_BG_PER_K = PARAMETER["gyro_bias_radps_per_k"]
+_BA_PER_K = PARAMETER["accel_bias_mps2_per_k"]
+_WARMING_S = PARAMETER["warming_s"]
 _SCALE_WALK = PARAMETER["speed_scale_walk_rts"]
 _MOUNT_WALK = PARAMETER["mount_angle_walk_rad_rts"]
 _BARO_WALK = PARAMETER["baro_bias_walk_m_rts"]
@@ -163,12 +169,14 @@ def _catch_up(
     clipped = par[_SATURATED] * x[X_SATURATED_S]
     attitude = par[_GYRO_NOISE] ** 2 * dt
     velocity = par[_ACCEL_NOISE] ** 2 * dt + (par[_BRIDGE_ACCEL] * bridged) ** 2 + clipped * clipped
+    warmed = x[X_WARMING] ** 2 * par[_WARMING_S]
     for i in range(3):
         q[POS + i] = velocity * dt * dt / 3.0
         q[VEL + i] = velocity
         q[ATT + i] = attitude
-        q[GYRO_BIAS + i] = par[_BG_WALK] ** 2 * dt
-        q[ACCEL_BIAS + i] = par[_BA_WALK] ** 2 * dt
+        q[GYRO_BIAS + i] = (par[_BG_WALK] ** 2 + par[_BG_PER_K] ** 2 * warmed) * dt
+        q[ACCEL_BIAS + i] = (par[_BA_WALK] ** 2 + par[_BA_PER_K] ** 2 * warmed) * dt
+        x[X_BIAS_VAR_THEN + i] += q[GYRO_BIAS + i]
     q[ATT] += (par[_BRIDGE_TILT] * bridged) ** 2
     q[ATT + 1] += (par[_BRIDGE_TILT] * bridged) ** 2
     q[ATT + 2] += (par[_BRIDGE_YAW] * bridged) ** 2
@@ -445,6 +453,7 @@ def run(
             x[X_BLOCK], x[X_BLOCK + 1], x[X_BLOCK + 2] = s0, s1, s2
             x[X_BLOCK + 3], x[X_BLOCK + 4], x[X_BLOCK + 5] = s3, s4, s5
             ti[I_BLOCK] = in_block
+            learn_warming(x, ti, p, par)
             keep(x, ti, p, kept, kept_ti)
         if stopped != STOPPED_END:
             used = k + 1

@@ -19,6 +19,7 @@ def biases(x: FloatArray, p: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def shift_biases(x: FloatArray, ti: TimeArray, f_b: FloatArray, omega_b: FloatArray) -> None:
     """Have ``x`` as if its samples had shown this much more (m/s2, rad/s) of the same motion."""
+    ti[state.T_BIAS] = 0  # no correction moved them
     for group, change in ((state.X_BA, f_b), (state.X_BG, omega_b), (state.X_F, f_b), (state.X_W, omega_b)):
         x[group : group + 3] += change
     both = np.concatenate([f_b, omega_b])
@@ -39,8 +40,9 @@ def loosen_biases(p: FloatArray, accel_sd_mps2: float, gyro_sd_radps: float) -> 
         covariance[places, places] += sd * sd
 
 
-def forget_biases(x: FloatArray, p: FloatArray, tuning: Tuning) -> None:
+def forget_biases(x: FloatArray, ti: TimeArray, p: FloatArray, tuning: Tuning) -> None:
     """Have the biases as unknown as at first, and independent of everything."""
+    ti[state.T_BIAS] = 0  # no correction moved them
     covariance = p.reshape(state.N_STATES, state.N_STATES)
     for place, error, sd in (
         (state.X_BA, state.ACCEL_BIAS, tuning.accel_bias_sd_mps2),

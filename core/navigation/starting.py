@@ -74,12 +74,13 @@ def begin(
     x[state.X_GNSS_ERROR : state.NX] = 0.0
     x[list(KEPT.values())] = 0.0
     x[state.X_WHITE_SHARE], x[state.X_WHITE_FIXES] = tuning.gnss_white_share, WHITE_SHARE_FIXES
-    x[state.X_MOVING] = 1.0
+    x[state.X_MOVING], x[state.X_WORSE] = 1.0, 1.0
     x[state.X_SQUAT], x[state.X_SQUAT_VAR] = tuning.squat_rad_per_mps2, tuning.squat_sd_rad_per_mps2**2
     if kept is not None:
         x[LEARNT_OF_FIXES] = before[LEARNT_OF_FIXES]
         x[LEARNT_OF_DRIFT] = before[LEARNT_OF_DRIFT]
         x[LEARNT_OF_SPRINGS] = before[LEARNT_OF_SPRINGS]
+        x[state.X_WARMING] = before[state.X_WARMING]  # of the box, not of its way
     slow = slow_share(x, tuning.as_array())
     x[state.X_SLOW_VAR : state.X_SLOW_VAR + 2] = slow * np.square(found.position_sd_m)
 

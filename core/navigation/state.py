@@ -79,7 +79,15 @@ X_ANCHOR: Final = 93  # an earlier fix against the path, and the path's velocity
 X_MOVED: Final = 97  # how far corrections have moved the path since, m north and east, 2
 X_UNSEEN: Final = 99  # variance of what fixes err by and no fix can show, horizontal and vertical, m2
 X_MOVING: Final = 101  # share of the slow error that drifts, as of the last fix
-X_RING: Final = 102  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
+X_BIAS_THEN: Final = 102  # the gyroscopes' biases at the last whole second, rad/s, 3
+X_BIAS_VAR_THEN: Final = 105  # their variances then, and what was added to them since, 3
+X_BIAS_MOVED: Final = 108  # fading sum of what they were moved by, rad/s, 3
+X_BIAS_SCORE: Final = 111  # fading sum of the same over its sd, 3
+X_BIAS_SECONDS: Final = 114  # seconds that the first of these sums is of, fading alike
+X_BIAS_SCORE_VAR: Final = 115  # variance of the second
+X_WARMING: Final = 116  # rate of the box's temperature that they show, K/s
+X_WORSE: Final = 117  # variance of fixes over the stated one by their innovations, with its margin
+X_RING: Final = 118  # closed blocks: N_BLOCKS rows of mean f_b (3), mean omega_b (3)
 N_BLOCKS: Final = 10
 NX: Final = X_RING + 6 * N_BLOCKS
 
@@ -110,7 +118,8 @@ I_HANGS: Final = 22  # the receiver repeats its last fix although the vehicle mo
 T_READING: Final = 23  # last wheel speed
 T_REPEATED: Final = 24  # first of a run of equal ones
 T_ANCHOR: Final = 25  # of that earlier fix, 0 without one
-I_COUNTS: Final = 26  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
+T_BIAS: Final = 26  # last whole second at which the biases were looked at, 0 before
+I_COUNTS: Final = 27  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
 
 # Aids and outcomes, the axes of the counters.
 AIDS: Final = (

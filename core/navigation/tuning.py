@@ -42,6 +42,22 @@ class Tuning(Tunables):
     warming_s: float = tunable(
         60.0, unit="s", low=1, high=3600, source="choice: the longest outage that a bias drifts one way in"
     )
+    warming_seen_s: float = tunable(
+        20.0, unit="s", low=1, high=600, source="choice: 10 to 40 s tell as soon, and as surely, in simulated boxes"
+    )
+    gate_warming: float = tunable(
+        16.0,
+        unit="1",
+        low=1,
+        high=1e6,
+        source="choice: 4 sd; boxes at one temperature reach 3.6 sd in recorded drives, 1.7 in simulated ones",
+    )
+    warming_least_kps: float = tunable(
+        0.05, unit="K/s", low=0, high=10, source="choice: 15 K in 5 min; corrections lag behind a drift just found"
+    )
+    warming_fades_s: float = tunable(
+        180.0, unit="s", low=1, high=36000, source="choice: a box takes minutes to warm up, some 300 s"
+    )
     gyro_bias_sd_radps: float = tunable(
         1.0e-2, unit="rad/s", low=1e-7, high=1.0, source="turn-on bias of a consumer gyroscope about 0.5 deg/s"
     )
@@ -95,6 +111,19 @@ class Tuning(Tunables):
     )
     gnss_drift_change: float = tunable(
         6.0, unit="1", low=2, high=100, source="over what is believed at most: 3e-3 by chance, as between houses"
+    )
+    gnss_worse_margin: float = tunable(
+        1.3,
+        unit="1",
+        low=1,
+        high=10,
+        source="choice: fixes as good as stated are taken to be; 1.5 does less in streets",
+    )
+    gnss_worse_gain: float = tunable(
+        0.1, unit="1", low=0, high=1, source="choice: a street lasts a minute; 0.15 recovers later from a clock's step"
+    )
+    gnss_worse_most: float = tunable(
+        6.0, unit="1", low=1, high=100, source="choice: sd 2.4 times those stated; beyond, a receiver is wrong"
     )
     gnss_white_share: float = tunable(
         0.8, unit="1", low=0, high=4, source="choice: before fixes tell; most of a stated variance is new each time"

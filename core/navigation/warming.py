@@ -1,4 +1,7 @@
-"""How fast the box's temperature changes: the biases of its sensors walk with it."""
+"""How fast the box's temperature changes, where packets state it: the biases of its sensors walk with it.
+
+Where they do not, the biases tell (``found_warming``).
+"""
 
 from __future__ import annotations
 

@@ -6,24 +6,6 @@ import pytest
 
 from tests.robustness import CASES, DRIVES, OWN_SOLUTION, RECOVERY_S, measured
 
-# What the navigation does not do yet, each with its cause. One that passes all the same fails, so that this stays true.
-WARM = "biases drift by 0.2 deg/s and 0.03 m/s2 in 100 s, and nothing says that the box warms up"
-CANYON = "a height that reflections pulled off by 2.9 sd is so by 3.3 sd where it is warm"
-WARMED = ("city 1", "city 2", "outages 1", "outages 2", "kth", "boston")
-SHORT = {
-    **{("unnoticed", "temperature unsaid", drive): WARM for drive in WARMED},
-    ("unnoticed", "temperature", "city 2"): CANYON,
-}
-
-
-def known(what, case, where):
-    """Parameters of a test, marked where it is known to fall short."""
-    reason = SHORT.get((what, case, where))
-    # Open work, told in the README too; strict, so that no mark outlives its cause.
-    marks = () if reason is None else (pytest.mark.xfail(reason=reason, strict=True),)
-    return pytest.param(case, where, marks=marks, id=f"{case}-{where}")
-
-
 EACH = [(case, drive) for case in CASES for drive in DRIVES if case != "frozen speed" or drive in ("highway 1", "kth")]
 each = pytest.mark.parametrize(("case", "drive"), EACH, ids=[f"{case}-{drive}" for case, drive in EACH])
 
@@ -86,7 +68,7 @@ def test_the_state_stays_finite_and_its_covariance_symmetric_and_positive(case, 
     assert found.least_eigenvalue > 0.0, found
 
 
-@pytest.mark.parametrize(("case", "drive"), [known("recovery", case, drive) for case, drive in EACH])
+@each
 def test_ten_seconds_of_good_fixes_bring_it_back(case, drive):
     found = measured(case, drive)
     assert found.recovery_s <= RECOVERY_S, found
@@ -95,7 +77,7 @@ def test_ten_seconds_of_good_fixes_bring_it_back(case, drive):
 @pytest.mark.parametrize(
     ("case", "against"),
     [
-        known("share", case, against)
+        (case, against)
         for case in ("undisturbed", *(case for case in CASES if not case.startswith("temperature")))
         for against in ("truth", "own solution")
     ],
@@ -106,7 +88,7 @@ def test_outside_the_fault_errors_are_inside_three_sd(case, against):
     assert share >= SHARE, told
 
 
-@pytest.mark.parametrize(("case", "drive"), [known("unnoticed", case, drive) for case in UNNOTICED for drive in DRIVES])
+@pytest.mark.parametrize(("case", "drive"), [(case, drive) for case in UNNOTICED for drive in DRIVES])
 def test_what_need_not_disturb_does_not(case, drive):
     found = measured(case, drive)
     assert min(found.share_inside) >= SHARE, found

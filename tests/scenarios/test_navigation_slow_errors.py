@@ -121,11 +121,10 @@ def test_a_receiver_that_is_white_is_known_to(seed):
     assert 0.4 < drive.normalised_square() < 3.0  # of 2: a share of 15 % is kept for what may be slow after all
 
 
-def test_between_houses_the_spread_is_too_small_by_what_the_receiver_hides():
-    # In a canyon the simulated receiver states half of a multipath of 5 m, so that there no filter that believes it
-    # can state its own spread; it holds elsewhere, and by far the most of all rows are inside.
+def test_between_houses_the_spread_grows_by_what_the_receiver_hides():
+    # In a canyon the simulated receiver states half of a multipath of 5 m: innovations tell, after some fixes.
     inside = np.array([driven("city", seed, 900.0).inside_three_sd() for seed in SEEDS])
-    assert inside.mean() >= 0.9
+    assert inside.mean() >= 0.99
 
 
 # Fixes of a receiver that does not say how good it is

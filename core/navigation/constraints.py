@@ -37,9 +37,11 @@ from core.navigation.state import (
     X_GAINED,
     X_HEAVE,
     X_MOUNT_SC,
+    X_NEWEST,
     X_Q,
     X_READING,
     X_RING,
+    X_RISING_N,
     X_SCALE,
     X_SQUAT,
     X_SQUAT_VAR,
@@ -108,12 +110,11 @@ def _velocity_b(c: Nine, v_n: _Vector) -> _Vector:
 
 
 @compiled()
-def _forward_mps2(x: FloatArray, ti: TimeArray, c: Nine) -> float:
+def _forward_mps2(x: FloatArray, c: Nine) -> float:
     """What the accelerometers say of the last block along b's x axis, without gravity."""
-    if ti[I_BLOCKS] == 0:
+    if x[X_RISING_N] == 0.0:
         return 0.0
-    newest = X_RING + ((ti[I_BLOCKS] - 1) % N_BLOCKS) * 6
-    return float(x[newest] - x[X_BA] + STANDARD_GRAVITY_MPS2 * c[6])
+    return float(x[X_NEWEST] - x[X_BA] + STANDARD_GRAVITY_MPS2 * c[6])
 
 
 @compiled()
@@ -134,7 +135,7 @@ def fuse_non_holonomic(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatAr
     v_b = _velocity_b(c, v_n)
     sp, cp, sy, cy = x[X_MOUNT_SC], x[X_MOUNT_SC + 1], x[X_MOUNT_SC + 2], x[X_MOUNT_SC + 3]
     yaw_rate = x[X_W + 2] - x[X_BG + 2]
-    forward_mps2 = _forward_mps2(x, ti, c)
+    forward_mps2 = _forward_mps2(x, c)
     slip = par[_P_NHC_LEVER] * yaw_rate
     heave = x[X_HEAVE] / par[_P_HEAVE]
     rising = forward_mps2 * v_b[0]
@@ -196,7 +197,7 @@ def _hangs(x: FloatArray, ti: TimeArray, t_ns: int, reading_mps: float, c: Nine)
         x[X_READING], x[X_GAINED] = reading_mps, 0.0
         ti[T_REPEATED] = t_ns
     else:
-        x[X_GAINED] += _forward_mps2(x, ti, c) * (t_ns - ti[T_READING]) * 1e-9
+        x[X_GAINED] += _forward_mps2(x, c) * (t_ns - ti[T_READING]) * 1e-9
     ti[T_READING] = t_ns
     return bool(abs(x[X_GAINED]) > HUNG_MPS + HUNG_MPS2 * (t_ns - ti[T_REPEATED]) * 1e-9)
 

@@ -28,6 +28,7 @@ from core.navigation.state import (
     X_DECAY_VAR,
     X_DRIFT,
     X_DRIFTS,
+    X_EXCHANGED,
     X_GNSS_DELAY,
     X_GNSS_ERROR,
     X_MOVED,
@@ -146,6 +147,7 @@ def decay(
         p[at + GNSS_ERROR + i] -= moved
         p[error + POS + i] -= moved
         if i > 0:
+            x[X_EXCHANGED + i - 1] += moved
             x[X_SLOW_VAR + i - 1] += moved
     x[X_MOVING] = moving
     # Where the receiver has become worse, its slow error may have as well, at once.

@@ -14,6 +14,7 @@ import math
 from core.compiled import compiled
 from core.measurements import GNSS, FloatArray, TimeArray
 from core.navigation.admission import position_sd_m
+from core.navigation.axes import doubt_axes
 from core.navigation.correction import Work, correct, count, record
 from core.navigation.fix_error import decay, learn_drift, learn_share, learn_worse, moving_share, slow_share, worse
 from core.navigation.kalman import along_six, decorrelate, project_six, update, update_pair
@@ -26,14 +27,11 @@ from core.navigation.state import (
     FUSED,
     GNSS_DELAY,
     GNSS_ERROR,
-    I_BLOCKS,
-    I_BROKEN,
     I_GNSS_USED,
     I_HANGS,
     I_REFUSED,
     I_REJECTED,
     I_RESETS,
-    N_BLOCKS,
     N_STATES,
     POS,
     REJECTED_GATE,
@@ -41,13 +39,16 @@ from core.navigation.state import (
     REJECTED_TIME,
     RESET,
     T_ANCHOR,
+    T_BROKEN,
     T_GNSS,
     T_NOW,
     T_REFUSED,
+    T_REFUSED_FOR,
     T_REJECTED,
     VEL,
     X_ALT,
     X_BG,
+    X_DECAY_VAR,
     X_DR,
     X_FIX,
     X_G,
@@ -58,9 +59,12 @@ from core.navigation.state import (
     X_M_PER_RAD,
     X_MEAN_NU,
     X_MOVING,
+    X_NEWEST,
+    X_OPENED,
     X_Q,
+    X_REFUSED_V,
     X_REJECTED_N,
-    X_RING,
+    X_RISING_N,
     X_UNSEEN,
     X_V,
     X_W,
@@ -137,15 +141,19 @@ def _widen(x: FloatArray, p: FloatArray, n: int, nu: tuple[float, float], s: tup
     if total * (2.0 - FADING) / FADING <= gate:
         return
     for i in range(2):
-        p[(POS + i) * n + POS + i] += x[X_MEAN_NU + i] ** 2 * s[i]
+        opened = x[X_MEAN_NU + i] ** 2 * s[i]
+        p[(POS + i) * n + POS + i] += opened
+        x[X_OPENED + i] += opened
         x[X_MEAN_NU + i] = 0.0
 
 
 @compiled()
 def _refused(x: FloatArray, ti: TimeArray, t_ns: int, nu_n: float, nu_e: float, sd_h: float, par: FloatArray) -> bool:
     """Remember a refused fix; True if enough of them in a row agree with each other against the filter."""
-    if ti[I_REFUSED] == 0:
-        ti[T_REFUSED] = t_ns
+    # What stays away refutes nothing: an outage hardly makes a run of refusals longer.
+    recovery_ns = round(par[_P_RECOVERY] * 1e9)
+    ti[T_REFUSED_FOR] = 0 if ti[I_REFUSED] == 0 else ti[T_REFUSED_FOR] + min(t_ns - ti[T_REFUSED], recovery_ns)
+    ti[T_REFUSED] = t_ns
     ti[I_REFUSED] += 1
     away_n, away_e = nu_n - x[X_REJECTED_N], nu_e - x[X_REJECTED_N + 1]
     agreement = par[_P_AGREE] + 3.0 * sd_h
@@ -239,6 +247,8 @@ def fuse_position(
     record(ti, work, t_ns, A_POSITION, 0, nu_n, snn, ratio, outcome)
     record(ti, work, t_ns, A_POSITION, 1, nu_e, see, ratio, outcome)
     if outcome == REJECTED_GATE:
+        if ti[I_REFUSED] >= 2 and not math.isfinite(fix[_VN]):
+            doubt_axes(x, p, par)
         return False
     count(ti, A_POSITION, outcome)
     if fused:
@@ -254,7 +264,7 @@ def fuse_position(
         _reset_position(x, ti, p, n, (nu_n, nu_e), sd_h, par)
         x[X_MEAN_NU], x[X_MEAN_NU + 1] = 0.0, 0.0
         ti[I_RESETS] += 1
-        ti[I_BROKEN] = 1
+        ti[T_BROKEN] = max(1, ti[T_NOW] - ti[T_GNSS])
         ti[T_ANCHOR] = 0
     ti[I_REJECTED] = 0
     ti[I_REFUSED] = 0
@@ -278,6 +288,8 @@ def fuse_position(
             to_slow = min(excess, max(0.0, SLOW_LIMIT * sd_v * sd_v - p[slow_at]))
             p[slow_at] += to_slow
             p[(POS + 2) * n + POS + 2] += excess - to_slow
+            x[X_DECAY_VAR + 2] += to_slow
+            x[X_OPENED + 2] += excess - to_slow
         outcome = FUSED if believed else REJECTED_GATE
         count(ti, A_HEIGHT, outcome)
         record(ti, work, t_ns, A_HEIGHT, 0, innovation, s, ratio, outcome)
@@ -291,8 +303,8 @@ def lost(ti: TimeArray, par: FloatArray) -> bool:
     """Whether fixes have contradicted the state for so long that it has to be found anew."""
     if ti[I_RESETS] >= par[_P_LOST_RESETS]:
         return True
-    refused_s = (ti[T_NOW] - ti[T_REFUSED]) * 1e-9
-    return bool(ti[I_REFUSED] >= par[_P_RECOVERY_FIXES] and refused_s >= par[_P_LOST_S])
+    refused = ti[I_REFUSED] >= par[_P_RECOVERY_FIXES]
+    return bool(refused and ti[T_REFUSED_FOR] * 1e-9 >= par[_P_LOST_S])
 
 
 @compiled()
@@ -322,10 +334,9 @@ def fuse_velocity(
     by = wz * lever_b[0] - wx * lever_b[2]
     bz = wx * lever_b[1] - wy * lever_b[0]
     an, ae, ad = 0.0, 0.0, 0.0
-    if ti[I_BLOCKS] > 0:
+    if x[X_RISING_N] > 0.0:
         # Of a whole block: single samples shake.
-        newest = X_RING + ((ti[I_BLOCKS] - 1) % N_BLOCKS) * 6
-        fx, fy, fz = x[newest], x[newest + 1], x[newest + 2]
+        fx, fy, fz = x[X_NEWEST], x[X_NEWEST + 1], x[X_NEWEST + 2]
         an = c[0] * fx + c[1] * fy + c[2] * fz + x[X_G]
         ae = c[3] * fx + c[4] * fy + c[5] * fz + x[X_G + 1]
         ad = c[6] * fx + c[7] * fy + c[8] * fz + x[X_G + 2]
@@ -349,9 +360,16 @@ def fuse_velocity(
     record(ti, work, t_ns, A_VELOCITY, 1, nu_e, see, ratio, outcome)
     if outcome == REJECTED_GATE:
         # As with heights: a velocity that stays wrong must not stay refused.
-        p[VEL * n + VEL] += 0.25 * nu_n * nu_n / par[_P_GATE_VEL]
-        p[(VEL + 1) * n + VEL + 1] += 0.25 * nu_e * nu_e / par[_P_GATE_VEL]
+        opened_n, opened_e = 0.25 * nu_n * nu_n / par[_P_GATE_VEL], 0.25 * nu_e * nu_e / par[_P_GATE_VEL]
+        p[VEL * n + VEL] += opened_n
+        p[(VEL + 1) * n + VEL + 1] += opened_e
+        x[X_OPENED + 3] += opened_n
+        x[X_OPENED + 4] += opened_e
+        x[X_REFUSED_V] += 1.0
+        if x[X_REFUSED_V] >= 2.0:
+            doubt_axes(x, p, par)
         return
+    x[X_REFUSED_V] = 0.0
     share = sne / snn
     decorrelate(n, ph, ph2, share)
     update_pair(p, n, ph, 1.0 / snn, nu_n, ph2, 1.0 / (see - share * sne), nu_e - share * nu_n, dx)

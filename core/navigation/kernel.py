@@ -13,6 +13,7 @@ import numpy as np
 from core.compiled import compiled
 from core.measurements import FloatArray, TimeArray
 from core.navigation.admission import MAX_LATITUDE_RAD
+from core.navigation.axes import note_turn
 from core.navigation.constraints import fuse_non_holonomic, fuse_speed, fuse_standstill
 from core.navigation.correction import Work, count
 from core.navigation.error_model import propagate
@@ -37,7 +38,6 @@ from core.navigation.state import (
     GYRO_BIAS,
     GYRO_SCALE,
     I_BLOCK,
-    I_BROKEN,
     I_NODES,
     I_RECORDS,
     I_STATIONARY,
@@ -53,6 +53,7 @@ from core.navigation.state import (
     POS,
     REJECTED_TIME,
     SPEED_SCALE,
+    T_BROKEN,
     T_COV,
     T_NEXT_BLOCK,
     T_NEXT_CONSTRAINT,
@@ -65,18 +66,22 @@ from core.navigation.state import (
     X_BG,
     X_BIAS_VAR_THEN,
     X_BLOCK,
+    X_BLOCK_SUMS,
     X_BRIDGED_S,
     X_C0,
     X_DECAY,
     X_DECAY_VAR,
     X_DR,
     X_DV,
+    X_EXCHANGED,
     X_F,
     X_G,
     X_GYRO_SCALE,
     X_HELD_RUN_S,
     X_HELD_S,
     X_LAT,
+    X_OPENED,
+    X_OPENED_TILT,
     X_Q,
     X_SATURATED_S,
     X_TURN,
@@ -89,7 +94,8 @@ from core.navigation.tuning import PARAMETER
 
 SECOND_NS = 1_000_000_000
 BLOCK_NS = SECOND_NS // 10
-"""Samples are averaged over this before they say whether the vehicle stands: it hides the engine's shaking."""
+"""Samples are averaged by hats of two of these before they say whether the vehicle stands: it hides the engine's
+shaking."""
 
 STOPPED_END, STOPPED_GAP, STOPPED_LOST, STOPPED_DIVERGED = 0, 1, 2, 3
 """Why the loop came back: samples used up; or to align anew, after a gap before the next sample, because fixes
@@ -177,8 +183,9 @@ def _catch_up(
         q[GYRO_BIAS + i] = (par[_BG_WALK] ** 2 + par[_BG_PER_K] ** 2 * warmed) * dt
         q[ACCEL_BIAS + i] = (par[_BA_WALK] ** 2 + par[_BA_PER_K] ** 2 * warmed) * dt
         x[X_BIAS_VAR_THEN + i] += q[GYRO_BIAS + i]
-    q[ATT] += (par[_BRIDGE_TILT] * bridged) ** 2
-    q[ATT + 1] += (par[_BRIDGE_TILT] * bridged) ** 2
+    tilted = (par[_BRIDGE_TILT] * bridged) ** 2 + note_turn(x, dt, x[X_TURN], par)
+    q[ATT] += tilted
+    q[ATT + 1] += tilted
     q[ATT + 2] += (par[_BRIDGE_YAW] * bridged) ** 2
     if x[X_HELD_S] > 0.0 and ti[I_STATIONARY] == 0:
         # The rate that is not seen lasts: its angle grows with the time, not with the root of it.
@@ -199,7 +206,10 @@ def _catch_up(
         open_node(x, nodes[ti[I_NODES]], dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, x[X_TURN], q)
         ti[I_NODES] += 1
     x[X_DECAY], x[X_DECAY_VAR], x[X_DECAY_VAR + 1], x[X_DECAY_VAR + 2] = 1.0, 0.0, 0.0, 0.0
-    ti[I_BROKEN] = 0
+    x[X_OPENED : X_OPENED + 5] = 0.0
+    x[X_OPENED_TILT] = 0.0
+    x[X_EXCHANGED], x[X_EXCHANGED + 1] = 0.0, 0.0
+    ti[T_BROKEN] = 0
     propagate(p, dt, (x[X_DV], x[X_DV + 1], x[X_DV + 2]), mean, x[X_TURN], q)
     x[X_DV], x[X_DV + 1], x[X_DV + 2], x[X_TURN] = 0.0, 0.0, 0.0, 0.0
     x[X_SATURATED_S], x[X_BRIDGED_S], x[X_HELD_S] = 0.0, 0.0, 0.0
@@ -327,6 +337,8 @@ def run(
     wx, wy, wz = x[X_W], x[X_W + 1], x[X_W + 2]
     s0, s1, s2 = x[X_BLOCK], x[X_BLOCK + 1], x[X_BLOCK + 2]
     s3, s4, s5 = x[X_BLOCK + 3], x[X_BLOCK + 4], x[X_BLOCK + 5]
+    h0, h1, h2 = x[X_BLOCK_SUMS], x[X_BLOCK_SUMS + 1], x[X_BLOCK_SUMS + 2]
+    h3, h4, h5 = x[X_BLOCK_SUMS + 3], x[X_BLOCK_SUMS + 4], x[X_BLOCK_SUMS + 5]
     in_block = ti[I_BLOCK]
     hangs = x[X_HELD_RUN_S] > 0.0
     t_prev = ti[T_NOW]
@@ -398,9 +410,12 @@ def run(
             if block_due:
                 x[X_BLOCK], x[X_BLOCK + 1], x[X_BLOCK + 2] = s0, s1, s2
                 x[X_BLOCK + 3], x[X_BLOCK + 4], x[X_BLOCK + 5] = s3, s4, s5
+                x[X_BLOCK_SUMS], x[X_BLOCK_SUMS + 1], x[X_BLOCK_SUMS + 2] = h0, h1, h2
+                x[X_BLOCK_SUMS + 3], x[X_BLOCK_SUMS + 4], x[X_BLOCK_SUMS + 5] = h3, h4, h5
                 ti[I_BLOCK] = in_block
                 close_block(x, ti, p, par)
                 s0, s1, s2, s3, s4, s5, in_block = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
+                h0, h1, h2, h3, h4, h5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
                 due = t // SECOND_NS != ti[T_NEXT_BLOCK] // SECOND_NS or ti[T_NEXT_BLOCK] % SECOND_NS == 0
                 ti[T_NEXT_BLOCK] = (t // BLOCK_NS + 1) * BLOCK_NS
             propagated = t >= ti[T_NEXT_COVARIANCE] or constraint_due or (i_aid < n_aids and aid_t_ns[i_aid] <= t)
@@ -448,10 +463,14 @@ def run(
                 next_event = min(next_event, aid_t_ns[i_aid])
         s0, s1, s2 = s0 + nfx, s1 + nfy, s2 + nfz
         s3, s4, s5 = s3 + nwx, s4 + nwy, s5 + nwz
+        h0, h1, h2 = h0 + s0, h1 + s1, h2 + s2
+        h3, h4, h5 = h3 + s3, h4 + s4, h5 + s5
         in_block += 1
         if due:
             x[X_BLOCK], x[X_BLOCK + 1], x[X_BLOCK + 2] = s0, s1, s2
             x[X_BLOCK + 3], x[X_BLOCK + 4], x[X_BLOCK + 5] = s3, s4, s5
+            x[X_BLOCK_SUMS], x[X_BLOCK_SUMS + 1], x[X_BLOCK_SUMS + 2] = h0, h1, h2
+            x[X_BLOCK_SUMS + 3], x[X_BLOCK_SUMS + 4], x[X_BLOCK_SUMS + 5] = h3, h4, h5
             ti[I_BLOCK] = in_block
             learn_warming(x, ti, p, par)
             keep(x, ti, p, kept, kept_ti)
@@ -466,6 +485,8 @@ def run(
     x[X_W], x[X_W + 1], x[X_W + 2] = wx, wy, wz
     x[X_BLOCK], x[X_BLOCK + 1], x[X_BLOCK + 2] = s0, s1, s2
     x[X_BLOCK + 3], x[X_BLOCK + 4], x[X_BLOCK + 5] = s3, s4, s5
+    x[X_BLOCK_SUMS], x[X_BLOCK_SUMS + 1], x[X_BLOCK_SUMS + 2] = h0, h1, h2
+    x[X_BLOCK_SUMS + 3], x[X_BLOCK_SUMS + 4], x[X_BLOCK_SUMS + 5] = h3, h4, h5
     ti[I_BLOCK] = in_block
     ti[T_NOW] = t_prev
     return used, i_aid, rows, stopped

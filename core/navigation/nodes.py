@@ -12,14 +12,15 @@ from core.compiled import compiled
 from core.measurements import FloatArray, TimeArray
 from core.navigation.kalman import Nine
 from core.navigation.state import (
-    I_BROKEN,
     N_STATES,
+    T_BROKEN,
     X_ALT,
     X_BARO_BIAS,
     X_BG,
     X_DECAY,
     X_DECAY_VAR,
     X_DR,
+    X_EXCHANGED,
     X_GNSS_DELAY,
     X_GNSS_ERROR,
     X_GYRO_SCALE,
@@ -27,6 +28,8 @@ from core.navigation.state import (
     X_LON,
     X_M_PER_RAD,
     X_MOUNT_YAW,
+    X_OPENED,
+    X_OPENED_TILT,
     X_Q,
     X_UNSEEN,
     X_V,
@@ -47,7 +50,9 @@ N_TURN: Final = 13  # integral of the rate about b's z axis, rad
 N_ADDED: Final = 14  # variances that the interval added, N_STATES
 N_DECAY: Final = N_ADDED + N_STATES  # factor on the fixes' slow error
 N_DECAY_VAR: Final = N_DECAY + 1  # variances that were added to it, 3
-N_BROKEN: Final = N_DECAY_VAR + 3  # 1 if the position was reset here
+N_OPENED: Final = N_DECAY_VAR + 3  # variances that aids added, see X_OPENED and X_OPENED_TILT, 6
+N_EXCHANGED: Final = N_OPENED + 6  # see X_EXCHANGED, 2
+N_BROKEN: Final = N_EXCHANGED + 2  # if the position was reset here, s since the last fused one, else 0
 N_UNSEEN: Final = N_BROKEN + 1  # variance of what fixes err by and none shows, horizontal and vertical, 2
 N_BEFORE: Final = N_UNSEEN + 2
 N_AFTER: Final = N_BEFORE + N_NOMINAL
@@ -94,7 +99,11 @@ def close_node(x: FloatArray, ti: TimeArray, p: FloatArray, row: FloatArray) -> 
     row[N_DECAY] = x[X_DECAY]
     for i in range(3):
         row[N_DECAY_VAR + i] = x[X_DECAY_VAR + i]
-    row[N_BROKEN] = ti[I_BROKEN]
+    for i in range(5):
+        row[N_OPENED + i] = x[X_OPENED + i]
+    row[N_OPENED + 5] = x[X_OPENED_TILT]
+    row[N_EXCHANGED], row[N_EXCHANGED + 1] = x[X_EXCHANGED], x[X_EXCHANGED + 1]
+    row[N_BROKEN] = ti[T_BROKEN] * 1e-9
     row[N_UNSEEN], row[N_UNSEEN + 1] = x[X_UNSEEN], x[X_UNSEEN + 1]
     _put_nominal(x, row, N_AFTER)
     at = N_P

@@ -23,7 +23,12 @@ def shift_biases(x: FloatArray, ti: TimeArray, f_b: FloatArray, omega_b: FloatAr
     for group, change in ((state.X_BA, f_b), (state.X_BG, omega_b), (state.X_F, f_b), (state.X_W, omega_b)):
         x[group : group + 3] += change
     both = np.concatenate([f_b, omega_b])
-    x[state.X_BLOCK : state.X_BLOCK + 6] += both * ti[state.I_BLOCK]
+    x[state.X_NEWEST : state.X_NEWEST + 3] += f_b
+    x[state.X_VERTICAL : state.X_VERTICAL + state.N_BLOCKS] += f_b[2]
+    n = ti[state.I_BLOCK]
+    x[state.X_BLOCK : state.X_BLOCK + 6] += both * n
+    x[state.X_BLOCK_SUMS : state.X_BLOCK_SUMS + 6] += both * (0.5 * n * (n + 1))
+    x[state.X_RISING : state.X_RISING + 6] += both * (0.5 * x[state.X_RISING_N])
     x[state.X_RING : state.NX].reshape(state.N_BLOCKS, 6)[: ti[state.I_BLOCKS]] += both
 
 

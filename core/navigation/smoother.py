@@ -34,6 +34,8 @@ from core.rotation import (
 )
 
 _UPPER = np.triu_indices(N_STATES)
+_RESET = np.array([POS, POS + 1, VEL, VEL + 1])  # what fixes tell anew where the position is reset
+_OPENED = np.array([POS, POS + 1, POS + 2, VEL, VEL + 1])
 _RIDGE = 1e-12
 """Added to a covariance of unit diagonal before it is inverted: rounding leaves it that far from positive."""
 
@@ -64,35 +66,71 @@ def causal(recorder: Recorder, imu_lever_b_m: FloatArray) -> Solution:
 def smoothed(recorder: Recorder, imu_lever_b_m: FloatArray) -> Solution:
     """The whole drive's measurements in every row; parameters as of ``causal``.
 
-    Nothing flows back over an alignment or a reset of the position: there the filter began anew.
+    Nothing flows back over an alignment: there the filter began anew. A reset of the position says how far the filter
+    was off, and that it had been too sure.
     """
     t_ns, table = recorder.node_table()
     errors = _Errors(
         np.zeros((len(t_ns), N_STATES)), np.zeros((len(t_ns), N_STATES)), np.zeros((len(t_ns), N_STATES, N_STATES))
     )
     begins = np.searchsorted(t_ns, np.array(recorder.starts_ns, np.int64))
-    broken = np.flatnonzero(table[:, node.N_BROKEN] > 0.0)
-    for first, end in pairwise(np.unique(np.concatenate([[0], begins, broken, [len(t_ns)]]))):
-        _smooth_stretch(table[first:end], *(a[first:end] for a in (errors.after, errors.before, errors.covariance)))
+    broken = np.setdiff1d(np.flatnonzero(table[:, node.N_BROKEN] > 0.0), begins)
+    bounds = np.unique(np.concatenate([[0], begins, broken, [len(t_ns)]]))
+    for first, end in reversed(list(pairwise(bounds))):
+        _smooth_stretch(t_ns, table, errors, first, end, end in broken)
     return _solution(recorder.track(), t_ns, table, errors, imu_lever_b_m, True)
 
 
-def _smooth_stretch(table: FloatArray, after: FloatArray, before: FloatArray, covariance: FloatArray) -> None:
-    """Backward over nodes that follow each other; the last three arrays are written."""
-    covariance[-1] = _covariance(table[-1])
-    before[-1] = _moved(table[-1])
-    for k in range(len(table) - 2, -1, -1):
+def _smooth_stretch(t_ns: TimeArray, table: FloatArray, errors: _Errors, first: int, end: int, reset: bool) -> None:
+    """Backward over nodes that follow each other, ``first`` to before ``end``, whose ``errors`` are written.
+
+    ``reset`` is whether at ``end`` the position was reset: then that node is smoothed already.
+    """
+    after, before, covariance = errors.after, errors.before, errors.covariance
+    last = end - 1
+    if not reset:
+        covariance[last] = _covariance(table[last])
+        before[last] = _moved(table[last])
+        last -= 1
+    widened, widened_ns = 1.0, 0
+    for k in range(last, first - 1, -1):
         p, row = _covariance(table[k]), table[k + 1]
         phi, added = _interval(row)
-        predicted = phi @ p @ phi.T + np.diag(added)
+        predicted = phi @ p @ phi.T + added
+        following = covariance[k + 1]
+        if k + 1 == end:
+            widened_ns = int(t_ns[end]) - round(row[node.N_BROKEN] * 1e9)
+            before[end], following, widened = _reset_seen(before[end], following, predicted)
         variance = np.diag(predicted)
         spread = np.sqrt(np.where(variance > 0.0, variance, 1.0))  # of a state that is known, such as a given delay
         factor = cho_factor(predicted / np.outer(spread, spread) + _RIDGE * np.eye(N_STATES), check_finite=False)
         gain = (cho_solve(factor, (phi @ p) / spread[:, None], check_finite=False) / spread[:, None]).T
         after[k] = gain @ before[k + 1]
         before[k] = _moved(table[k]) + after[k]
-        narrowed = p + gain @ (covariance[k + 1] - predicted) @ gain.T
+        share = widened if t_ns[k] >= widened_ns else 1.0
+        narrowed = share * p + gain @ (following - share * predicted) @ gain.T
         covariance[k] = 0.5 * (narrowed + narrowed.T)
+
+
+def _reset_seen(
+    error: FloatArray, covariance: FloatArray, predicted: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """What a reset of the position tells of the state before it, whose spread (n, n) was ``predicted``.
+
+    Its fixes and those after it give horizontal position and velocity, of which the filter before knew next to
+    nothing: an observation of the ``error`` (n,) of x- with the smoothed ``covariance`` (n, n). It lies far outside the
+    predicted spread, which is widened until it is usual.
+
+    Returns
+    -------
+    the error of x-, its covariance, and how many times the predicted one is to be taken
+    """
+    p = predicted[:, _RESET]
+    observed, noise = error[_RESET], covariance[np.ix_(_RESET, _RESET)]
+    ratio = float(observed @ np.linalg.solve(p[_RESET] + noise, observed)) / len(_RESET)
+    widened = max(1.0, ratio)
+    gain = np.linalg.solve(widened * p[_RESET] + noise, widened * p.T).T
+    return gain @ observed, widened * (predicted - gain @ p.T), widened
 
 
 def _covariance(row: FloatArray) -> FloatArray:
@@ -103,14 +141,24 @@ def _covariance(row: FloatArray) -> FloatArray:
 
 
 def _interval(row: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Phi (n, n) and the variances (n,) added over the interval that ends at a node."""
+    """Phi (n, n) and the covariance (n, n) added over the interval that ends at a node.
+
+    With what the aids there opened of the filter's certainty, as if it had come before them.
+    """
     c = row[node.N_C : node.N_C + 9].reshape(3, 3)
     phi = transition_matrix(row[node.N_DT], row[node.N_DV : node.N_DV + 3], c, row[node.N_TURN])
     added = row[node.N_ADDED : node.N_ADDED + N_STATES].copy()
     slow = slice(GNSS_ERROR, GNSS_ERROR + 3)
-    phi[slow] *= row[node.N_DECAY]
-    added[slow] = row[node.N_DECAY_VAR : node.N_DECAY_VAR + 3]
-    return phi, added
+    decay, exchanged = row[node.N_DECAY], row[[node.N_EXCHANGED, node.N_EXCHANGED, node.N_EXCHANGED + 1]]
+    phi[slow] *= decay
+    added[slow] = row[node.N_DECAY_VAR : node.N_DECAY_VAR + 3] + decay**2 * exchanged
+    added[_OPENED] += row[node.N_OPENED : node.N_OPENED + 5]
+    added[ATT : ATT + 2] += row[node.N_OPENED + 5]
+    added[POS : POS + 3] += exchanged
+    both = np.diag(added)
+    places, errors = np.arange(POS, POS + 3), np.arange(GNSS_ERROR, GNSS_ERROR + 3)
+    both[places, errors] = both[errors, places] = -decay * exchanged
+    return phi, both
 
 
 def _moved(row: FloatArray) -> FloatArray:

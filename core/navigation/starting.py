@@ -36,6 +36,7 @@ fixes stays likewise, but not its spread."""
 LEARNT_OF_FIXES: Final = slice(state.X_WHITE_SHARE, state.X_WHITE_FIXES + 1)
 LEARNT_OF_DRIFT: Final = slice(state.X_DRIFT, state.X_DRIFTS + 1)
 LEARNT_OF_SPRINGS: Final = slice(state.X_SQUAT, state.X_SQUAT_VAR + 1)
+LEARNT_OF_AXES: Final = slice(state.X_AXES_VAR, state.X_AXES_VAR + 1)
 PLACES: Final = np.arange(state.POS, state.POS + 3)
 ERRORS: Final = np.arange(state.GNSS_ERROR, state.GNSS_ERROR + 3)
 
@@ -81,6 +82,7 @@ def begin(
         x[LEARNT_OF_DRIFT] = before[LEARNT_OF_DRIFT]
         x[LEARNT_OF_SPRINGS] = before[LEARNT_OF_SPRINGS]
         x[state.X_WARMING] = before[state.X_WARMING]  # of the box, not of its way
+        x[LEARNT_OF_AXES] = before[LEARNT_OF_AXES]
     slow = slow_share(x, tuning.as_array())
     x[state.X_SLOW_VAR : state.X_SLOW_VAR + 2] = slow * np.square(found.position_sd_m)
 

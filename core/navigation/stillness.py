@@ -1,4 +1,4 @@
-"""Whether the vehicle stands: a statistical test over one second of block means, not a speed threshold alone."""
+"""Whether the vehicle stands: a statistical test over one second of means, not a speed threshold alone."""
 
 from __future__ import annotations
 
@@ -22,12 +22,17 @@ from core.navigation.state import (
     X_BA,
     X_BG,
     X_BLOCK,
+    X_BLOCK_SUMS,
     X_HEAVE,
+    X_NEWEST,
     X_Q,
     X_RING,
+    X_RISING,
+    X_RISING_N,
     X_STILL_F,
     X_STILL_W,
     X_V,
+    X_VERTICAL,
 )
 from core.navigation.tuning import PARAMETER
 
@@ -49,12 +54,12 @@ _STILL_SPEED = PARAMETER["still_max_speed_mps"]
 
 
 @compiled()
-def _moments(x: FloatArray, i: int) -> tuple[float, float]:
-    """Mean and variance of one axis over the ring's block means."""
+def _moments(x: FloatArray, at: int, step: int) -> tuple[float, float]:
+    """Mean and variance of N_BLOCKS numbers, ``step`` apart from ``at`` on."""
     total, squares = 0.0, 0.0
-    first = x[X_RING + i]
+    first = x[at]
     for j in range(N_BLOCKS):
-        d = x[X_RING + 6 * j + i] - first
+        d = x[at + step * j] - first
         total += d
         squares += d * d
     return first + total / N_BLOCKS, max(squares / N_BLOCKS - (total / N_BLOCKS) ** 2, 0.0)
@@ -86,7 +91,7 @@ def _as_when_standing(x: FloatArray, par: FloatArray, spread_f: float, spread_w:
 
 @compiled()
 def _quiet(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray, speed_sd: float) -> tuple[bool, float, float]:
-    """Whether over one second the 0.1 s means hardly move (they hide the engine's shaking, not the road's).
+    """Whether over one second the means hardly move (they hide the engine's shaking, not the body's on its springs).
 
     And what is left of them is gravity and biases alone, and the filter does not hold a speed far above its own
     uncertainty. With the spreads of force (m/s2) and rate (rad/s).
@@ -94,13 +99,13 @@ def _quiet(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray, speed_s
     limit = par[_STILL_SPEED] + 3.0 * speed_sd
     if x[X_V] ** 2 + x[X_V + 1] ** 2 > limit * limit:
         return False, 0.0, 0.0
-    mean_0, variance_0 = _moments(x, 0)
-    mean_1, variance_1 = _moments(x, 1)
-    mean_2, variance_2 = _moments(x, 2)
+    mean_0, variance_0 = _moments(x, X_RING, 6)
+    mean_1, variance_1 = _moments(x, X_RING + 1, 6)
+    mean_2, variance_2 = _moments(x, X_RING + 2, 6)
     spread_f = variance_0 + variance_1 + variance_2
     spread_w, turning_sq, rate_var = 0.0, 0.0, 0.0
     for i in range(3):
-        mean, variance = _moments(x, 3 + i)
+        mean, variance = _moments(x, X_RING + 3 + i, 6)
         spread_w += variance
         turning_sq += (mean - x[X_BG + i]) ** 2
         rate_var = max(rate_var, p[(GYRO_BIAS + i) * (N_STATES + 1)])
@@ -135,27 +140,40 @@ def _quiet(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray, speed_s
 
 @compiled()
 def close_block(x: FloatArray, ti: TimeArray, p: FloatArray, par: FloatArray) -> None:
-    """Put the open block's means into the ring and decide whether the vehicle stands.
+    """Put means over the last two blocks into the ring and decide whether the vehicle stands.
+
+    They are weighted by a hat, which leaves a hundredth of an engine's shaking at 27 Hz where a plain mean of one block
+    leaves a tenth: of 2 m/s2 that would be no rest.
 
     It has to be quiet, and the longer, the surer the filter is that it moves: an even creep on a smooth road feels
     like standing, but does not last.
     """
     count = ti[I_BLOCK]
+    ti[I_STATIONARY] = 0
     if count == 0:
+        x[X_RISING_N] = 0.0
         ti[I_BLOCKS] = 0
-        ti[I_STATIONARY] = 0
         ti[T_QUIET] = 0
         return
     row = X_RING + (ti[I_BLOCKS] % N_BLOCKS) * 6
+    before = x[X_RISING_N]
+    for i in range(3):
+        x[X_NEWEST + i] = x[X_BLOCK + i] / count
+    x[X_VERTICAL + ti[I_BLOCKS] % N_BLOCKS] = x[X_NEWEST + 2]
     for i in range(6):
-        x[row + i] = x[X_BLOCK + i] / count
-        x[X_BLOCK + i] = 0.0
+        # Of sample k of n the sums of sums have n - k + 1.
+        falling = (x[X_BLOCK_SUMS + i] - 0.5 * x[X_BLOCK + i]) / count
+        x[row + i] = (x[X_RISING + i] + falling) / (0.5 * (before + count))
+        x[X_RISING + i] = x[X_BLOCK + i] - falling
+        x[X_BLOCK + i], x[X_BLOCK_SUMS + i] = 0.0, 0.0
+    x[X_RISING_N] = count
     ti[I_BLOCK] = 0
+    if before == 0.0:
+        return
     ti[I_BLOCKS] += 1
-    ti[I_STATIONARY] = 0
     if ti[I_BLOCKS] < N_BLOCKS:
         return
-    x[X_HEAVE] = math.sqrt(_moments(x, 2)[1])
+    x[X_HEAVE] = math.sqrt(_moments(x, X_VERTICAL, 1)[1])
     speed_sd = _speed_sd(p)
     quiet, spread_f, spread_w = _quiet(x, ti, p, par, speed_sd)
     if not quiet:

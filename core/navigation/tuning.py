@@ -67,6 +67,12 @@ class Tuning(Tunables):
     gyro_scale_sd: float = tunable(
         0.01, unit="1", low=0, high=0.1, source="sensitivity of consumer gyroscopes 1-3 %, after calibration below 1 %"
     )
+    gyro_axes_sd_rad: float = tunable(
+        0.01, unit="rad", low=0, high=0.1, source="axes of a bad box off square by 0.6 deg: soldering and die, 0.8 deg"
+    )
+    gyro_axes_fading_s: float = tunable(
+        30.0, unit="s", low=1, high=600, source="choice: after so long fixes have put the tilt of a turn right"
+    )
     speed_scale_sd: float = tunable(0.03, unit="1", low=1e-6, high=0.3, source="tyre wear and pressure 2-3 %")
     speed_scale_walk_rts: float = tunable(1.0e-5, unit="1/sqrt(s)", low=0, high=1e-2, source=_CHOICE)
     mount_angle_sd_rad: float = tunable(0.09, unit="rad", low=1e-5, high=0.5, source="box fitted by eye within 5 deg")
@@ -242,14 +248,14 @@ class Tuning(Tunables):
         unit="m/s2",
         low=1e-3,
         high=2,
-        source="sd of ten 0.1 s means: standing 0.01-0.04, driving above 0.1 on the three drives",
+        source="sd of ten means by hats of 0.2 s: standing 0.01-0.06, driving above 0.11 on the three drives",
     )
     still_gyro_sd_radps: float = tunable(
         5.0e-3,
         unit="rad/s",
         low=1e-5,
         high=0.2,
-        source="sd of ten 0.1 s means: standing 0.0006-0.003, driving above 0.007 on the three drives",
+        source="sd of ten means by hats of 0.2 s: standing 0.0005-0.003, driving above 0.005 on the three drives",
     )
     still_mean_accel_mps2: float = tunable(
         0.2, unit="m/s2", low=0.01, high=2, source="beyond tilt error: a car pulls away with 0.5 m/s2 and more"
@@ -269,7 +275,7 @@ class Tuning(Tunables):
         unit="1",
         low=1,
         high=100,
-        source="newest 0.1 s off the second's mean, over the level learnt when standing: 1e-5 by chance",
+        source="newest of ten means off their mean, over the level learnt when standing: 1e-5 by chance",
     )
     still_patience_s: float = tunable(
         2.0,

@@ -9,9 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from core.measurements import FloatArray
 from service.bench.simulated_outages import Tell
 from service.recordings.drive_folder import Drive, read_drive
-from service.recordings.fusing import Fused, Outage, figures, fuse, fuse_config, vehicle_config
+from service.recordings.fusing import Fused, Outage, figures, fuse, fuse_config, track_errors, vehicle_config
 
 FIRST_S: Final = 60.0
 EVERY_S: Final = 45.0
@@ -23,14 +24,20 @@ NAMED: Final = {"kth_stockholm": Outage(200.0, 99.0), "comma2k19_segment": Outag
 SWEPT: Final = ("kth_stockholm", "boston_vn100")
 DRIVES: Final = tuple(sorted({*NAMED, *SWEPT}))
 
+LIMIT: Final = "limit"
+"""The method without an outage: smoothed with all but what it is compared with. What is left there is the error of that
+itself and of a path with fixes all round, and no outage is to be asked for less."""
 METHODS: Final[Mapping[str, Mapping[str, Any]]] = {
     "causal": {},
     "smoothed": {"smooth": True},
-    "all fixes": {"smooth": True},
+    LIMIT: {"smooth": True},
 }
 """How a drive is fused, as options of ``fuse``."""
-NOT_WITHHELD: Final = "all fixes"
-"""The method without an outage: what is left there is the error of what it is compared with, and no outage has less."""
+LEFT_OUT_EVERY: Final = 10
+"""Compared with fixes, each is left out once, with those that are so many further on and back: far beyond what matters
+to a path that has their neighbours."""
+INSTANT_S: Final = 1e-3
+"""An outage that holds one fix."""
 
 
 def placed(drive: Drive) -> list[Outage]:
@@ -46,7 +53,7 @@ def measure(folder: Path, tell: Tell) -> dict[str, Any]:
     sweeps = {name: placed(drives[name]) for name in SWEPT}
     total = len(METHODS) * (len(NAMED) + sum(map(len, sweeps.values())))
     done = 0
-    whole: dict[str, Fused] = {}
+    limits: dict[str, tuple[FloatArray, FloatArray]] = {}
     found: dict[str, Any] = {name: {} for name in drives}
     for method in METHODS:
         for name, outage in NAMED.items():
@@ -56,13 +63,13 @@ def measure(folder: Path, tell: Tell) -> dict[str, Any]:
                 "outage",
                 {"start_s": outage.start_s, "duration_s": outage.duration_s, "fixes_after": fixes_after},
             )
-            found[name]["outage"][method] = _in_outage(drives[name], outage, method, whole)
+            found[name]["outage"][method] = _in_outage(drives[name], outage, method, limits)
             done += 1
         for name, outages in sweeps.items():
             runs: list[dict[str, Any]] = []
             for outage in outages:
                 tell(done, total)
-                runs.append({"start_s": outage.start_s} | _in_outage(drives[name], outage, method, whole))
+                runs.append({"start_s": outage.start_s} | _in_outage(drives[name], outage, method, limits))
                 done += 1
             found[name].setdefault("sweep", {"every_s": EVERY_S, "duration_s": LENGTH_S})
             found[name]["sweep"][method] = {
@@ -79,17 +86,36 @@ def median_end_m(runs: list[dict[str, Any]]) -> float | None:
     return median if math.isfinite(median) else None
 
 
-def _in_outage(drive: Drive, outage: Outage, method: str, whole: dict[str, Fused]) -> dict[str, float | None]:
-    """Figures of one outage; ``whole`` keeps what each drive is with nothing withheld: that is the same for all."""
-    if method != NOT_WITHHELD:
-        fused = _fused(drive, [outage], method)
-    else:
-        if drive.name not in whole:
-            whole[drive.name] = _fused(drive, [], method)
-        fused = whole[drive.name]
+def _in_outage(
+    drive: Drive, outage: Outage, method: str, limits: dict[str, tuple[FloatArray, FloatArray]]
+) -> dict[str, float | None]:
+    """Figures of one outage; ``limits`` keeps what is left at each drive's fixes: that is the same for all outages."""
+    if method == LIMIT and drive.reference is None:
+        if drive.name not in limits:
+            limits[drive.name] = _at_fixes(drive)
+        t_s, error_m = limits[drive.name]
+        inside = error_m[(t_s >= outage.start_s) & (t_s < outage.end_s)]
+        return {"rms_m": float(np.sqrt(np.mean(inside**2))), "end_m": float(inside[-1]), "max_m": float(inside.max())}
+    fused = _fused(drive, [] if method == LIMIT else [outage], method)
     (one,) = figures(drive, fused, [outage])["outages"]
     figures_of_one = {name: one[name] for name in ("rms_m", "end_m", "max_m", "distance_m")}
     return figures_of_one | {"resets": fused.counts.get("imu.reset", 0)}
+
+
+def _at_fixes(drive: Drive) -> tuple[FloatArray, FloatArray]:
+    """Times of the fixes, s, and how far off each is from a path smoothed without it, m."""
+    times_ns = drive.measurements.gnss_t_ns
+    parts: list[tuple[FloatArray, FloatArray]] = []
+    for first in range(LEFT_OUT_EVERY):
+        left_out_ns = times_ns[first::LEFT_OUT_EVERY]
+        alone = [Outage(float(t_s) - INSTANT_S / 2, INSTANT_S) for t_s in drive.t_s(left_out_ns)]
+        _, errors = track_errors(drive, _fused(drive, alone, LIMIT).track, ())
+        assert errors is not None
+        chosen = np.isin(errors.t_ns, left_out_ns)
+        parts.append((errors.t_s[chosen], errors.horizontal_m[chosen]))
+    t_s, error_m = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    order = np.argsort(t_s)
+    return t_s[order], error_m[order]
 
 
 def _fused(drive: Drive, withheld: list[Outage], method: str) -> Fused:

@@ -24,7 +24,7 @@ def verdicts(found: Sequence[Mapping[str, Any]]) -> Iterable[str]:
     for one in found:
         verdict = "met" if one["met"] else "missed"
         if (floor := one.get("floor")) is not None:
-            verdict += f"; {_value(floor, one['unit'])} with no fix withheld"
+            verdict += f"; {_value(floor, one['unit'])} with all but what it is compared with"
         rows.append((one["text"], _value(one["value"], one["unit"]), _value(one["at_most"], one["unit"]), verdict))
     yield from aligned(rows, left=(0, 3))
 

@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from service.bench.recorded_outages import NOT_WITHHELD
+from service.bench.recorded_outages import LIMIT
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
     """A figure, by its path among the figures, and what it may be at most: a number, or a share of another figure.
 
-    ``floor`` is the path of what it is with nothing withheld: how far what it is compared with is off by itself.
+    ``floor`` is the path of what it is where only what it is compared with is left out: what any interpolation leaves.
     """
 
     text: str
@@ -54,7 +54,7 @@ TARGETS: Final = (
             f"real/{place}/smoothed/{key}",
             f"real/{place}/causal/{key}",
             share=1 / 3,
-            floor=f"real/{place}/{NOT_WITHHELD}/{key}",
+            floor=f"real/{place}/{LIMIT}/{key}",
         )
         for text, place, key in (
             ("kth_stockholm, 99 s from 200 s, RMS", "kth_stockholm/outage", "rms_m"),

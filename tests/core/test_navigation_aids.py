@@ -89,6 +89,7 @@ class Case:
         truth[state.X_GNSS_DELAY], truth[state.X_BARO_BIAS] = GNSS_DELAY_S, BARO_BIAS_M
         truth[state.X_WHITE_SHARE] = 1.0
         truth[state.X_RING : state.X_RING + 6] = *FORCE_B, *GYRO_BIAS_B
+        truth[state.X_NEWEST : state.X_NEWEST + 3], truth[state.X_RISING_N] = FORCE_B, 10.0
         truth[state.X_MOUNT_PITCH], truth[state.X_MOUNT_YAW] = MOUNT_PITCH_RAD, MOUNT_YAW_RAD
         truth[state.X_V : state.X_V + 3] = vehicle_axes(truth) @ np.array(v_vehicle)
         ti[state.T_NOW] = ti[state.T_COV] = ti[state.T_GNSS] = ti[state.T_DECAY] = NOW_NS
@@ -497,6 +498,13 @@ def test_a_step_of_air_pressure_is_refused_and_then_believed_as_its_bias():
 # Standing
 
 
+def put_block(case, mean):
+    """A block of ten samples that are alike."""
+    case.ti[state.I_BLOCK] = 10
+    case.x[state.X_BLOCK : state.X_BLOCK + 6] = 10 * mean
+    case.x[state.X_BLOCK_SUMS : state.X_BLOCK_SUMS + 6] = sum(range(1, 11)) * mean
+
+
 @pytest.mark.parametrize(("speed_sd_mps", "stands"), [(0.02, False), (1.0, True)])
 def test_a_quiet_second_is_a_standstill_only_where_the_filter_may_be_wrong_of_its_speed(speed_sd_mps, stands):
     # Rolling at 0.4 m/s on a smooth road feels as standing does, for a while.
@@ -506,8 +514,7 @@ def test_a_quiet_second_is_a_standstill_only_where_the_filter_may_be_wrong_of_it
     C, gravity_n = matrix_from_quaternion(case.x[:4]), case.x[state.X_G : state.X_G + 3]
     for _ in range(100):  # ten seconds of blocks
         case.ti[state.T_NOW] += kernel.BLOCK_NS
-        case.ti[state.I_BLOCK] = 10
-        case.x[state.X_BLOCK : state.X_BLOCK + 6] = 10 * np.concatenate([-C.T @ gravity_n, GYRO_BIAS_B])
+        put_block(case, np.concatenate([-C.T @ gravity_n, GYRO_BIAS_B]))
         close_block(case.x, case.ti, case.p, case.par)
     assert bool(case.ti[state.I_STATIONARY]) is stands
 
@@ -522,8 +529,7 @@ def test_a_long_quiet_is_a_standstill_where_the_filter_would_not_wonder(speed_sd
     C, gravity_n = matrix_from_quaternion(case.x[:4]), case.x[state.X_G : state.X_G + 3]
     for _ in range(round((1.0 + Tuning().still_longest_patience_s) * 10) + 1):
         case.ti[state.T_NOW] += kernel.BLOCK_NS
-        case.ti[state.I_BLOCK] = 10
-        case.x[state.X_BLOCK : state.X_BLOCK + 6] = 10 * np.concatenate([-C.T @ gravity_n, GYRO_BIAS_B])
+        put_block(case, np.concatenate([-C.T @ gravity_n, GYRO_BIAS_B]))
         close_block(case.x, case.ti, case.p, case.par)
     assert bool(case.ti[state.I_STATIONARY]) is stands
 
@@ -531,14 +537,12 @@ def test_a_long_quiet_is_a_standstill_where_the_filter_would_not_wonder(speed_sd
 @pytest.mark.parametrize(("force_mps2", "stands"), [(0.02, True), (0.06, False)])
 def test_a_gentle_pull_away_ends_a_standstill_with_its_first_tenth_of_a_second(force_mps2, stands):
     case = Case.of(VEL, 0.0, 0.02, v_vehicle=(0.0, 0.0, 0.0), tuning=Tuning())
-    case.x[state.X_STILL_F], case.x[state.X_STILL_W] = 0.015, 1e-3
     C, gravity_n = matrix_from_quaternion(case.x[:4]), case.x[state.X_G : state.X_G + 3]
     for forward_mps2 in [*[0.0] * 20, force_mps2]:
         case.ti[state.T_NOW] += kernel.BLOCK_NS
-        case.ti[state.I_BLOCK] = 10
         force_b = -C.T @ gravity_n + [forward_mps2, 0.0, 0.0]
-        case.x[state.X_BLOCK : state.X_BLOCK + 6] = 10 * np.concatenate([force_b, GYRO_BIAS_B])
-        # What was learnt of standing is of a real engine; these blocks are quieter.
-        case.x[state.X_STILL_F], case.x[state.X_STILL_W] = 0.015, 1e-3
+        put_block(case, np.concatenate([force_b, GYRO_BIAS_B]))
+        # What was learnt of standing is of a real engine, kth_stockholm's; these blocks are quieter.
+        case.x[state.X_STILL_F], case.x[state.X_STILL_W] = 0.008, 1e-3
         close_block(case.x, case.ti, case.p, case.par)
     assert bool(case.ti[state.I_STATIONARY]) is stands

@@ -147,8 +147,6 @@ class ImpactDetector:
                 self._told_ns = int(registers[trigger.START])
                 registers[trigger.SEEN_EARLY] = trigger.TOLD
                 impact, _ = self._felt(judged, row, odds)
-                # A converter that hangs looks like the plainest of blows until it lets go.
-                impact = replace(impact, confidence=min(impact.confidence, limits.judgement.told_most))
                 self._begin(impact, odds, row, found, self._begun(judged, row))
             return
         broken_off = evidence_row < row

@@ -299,13 +299,6 @@ class JudgementThresholds(Tunables):
         high=10.0,
         source="choice: none is needed; bench --accidents --part reliability fits one",
     )
-    told_most: float = tunable(
-        0.9,
-        unit="1",
-        low=0.5,
-        high=1.0,
-        source="bench --accidents --part reliability: of the plainest, told before they are over, 0.67 to 0.9 hold",
-    )
     beyond_mps: float = tunable(
         0.8, unit="m/s", low=0.05, high=5.0, source="choice: where the logarithm of the change beyond reach is zero"
     )

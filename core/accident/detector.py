@@ -133,35 +133,29 @@ class ImpactDetector:
         start = int(np.searchsorted(t_ns, registers[trigger.START]))
         ends = evidence_row, max(row - 1, evidence_row)
         told = self._told_ns == registers[trigger.START]
-        judged = pulse = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse)
+        judged = read_pulse(t_ns, level.x, level.flags, start, ends, limits.trigger, limits.pulse)
         first_ns = int(t_ns[judged.first])
         fell = trigger.lately(registers, trigger.FELL, first_ns, limits.trigger.fell_before_s)
         odds = weighed(level, judged, limits, fell=fell)
-        unturned = limits.judgement.unturned_radps
-        if not whole and hangs(t_ns, level.x, level.flags, (judged.first, row), judged.jolt_radps, unturned):
-            return  # until it lets go
-        likely = probability(odds) >= (self._needed(judged, row) if not whole else self._holds(told=told))
         same = self._open is not None and first_ns <= self._open.last_ns + _ns(limits.aftermath.grouping_s)
         if not whole:
-            if likely and not same:
-                self._told_ns = int(registers[trigger.START])
-                registers[trigger.SEEN_EARLY] = trigger.TOLD
-                impact, _ = self._felt(judged, row, odds)
-                self._begin(impact, odds, row, found, self._begun(judged, row))
+            rows, unturned = (judged.first, row), limits.judgement.unturned_radps
+            waits = same or hangs(t_ns, level.x, level.flags, rows, judged.jolt_radps, unturned)
+            if not waits and probability(odds) >= self._needed(judged, row):
+                self._tell(judged, odds, row, found)
             return
-        broken_off = evidence_row < row
-        if not likely:
+        if probability(odds) < self._holds(told=told):
             registers[trigger.PULSE], registers[trigger.FLOOR] = 0, now
             self._dismiss(judged, odds, told, row, found)
             return
         pulse = self._described(judged, start, ends, told=told)
-        impact, unclipped = self._felt(pulse, row, odds)
+        broken_off = evidence_row < row
         if not told and not same and not broken_off:  # told now, and again with the end of its flank
-            self._told_ns = int(registers[trigger.START])
-            registers[trigger.SEEN_EARLY], registers[trigger.SETTLED] = trigger.TOLD, now
-            self._begin(impact, odds, row, found, self._begun(pulse, row))
+            registers[trigger.SETTLED] = now
+            self._tell(pulse, odds, row, found)
             return
         registers[trigger.PULSE], registers[trigger.FLOOR] = 0, now
+        impact, unclipped = self._felt(pulse, row, odds)
         if told:
             self._update(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
         elif not same:
@@ -169,6 +163,13 @@ class ImpactDetector:
             self._begin(impact, odds, row, found, momentum)
         elif not self._spins(judged):
             self._add(impact, odds, row, found, self._struck(self._opened.momentum, impact, pulse, row, unclipped))
+
+    def _tell(self, pulse: Pulse, odds: float, row: int, found: Findings) -> None:
+        """Tell an accident whose pulse is to be judged again once it is over, or its flank is."""
+        self._told_ns = int(self._registers[trigger.START])
+        self._registers[trigger.SEEN_EARLY] = trigger.TOLD
+        impact, _ = self._felt(pulse, row, odds)
+        self._begin(impact, odds, row, found, self._begun(pulse, row))
 
     def _felt(self, pulse: Pulse, row: int, odds: float) -> tuple[Impact, Whole | None]:
         """The accident that a pulse of such log-odds is, as it is told at ``row``; dear where it clipped."""

@@ -16,7 +16,8 @@ from core.accident.judgement import AIRBAG_DEPLOYED, Aftermath, Evidence, confid
 from core.accident.level import CLIPPED, SPEED, LevelMotion
 from core.accident.pulse import Pulse
 from core.accident.severity import UNIFORM_DEG, classify, force_direction_deg, force_direction_sd_deg, injury_risk
-from core.accident.thresholds import DetectorThresholds, JudgementThresholds
+from core.accident.thresholds import DetectorThresholds
+from core.accident.weights import JudgementThresholds
 from core.earth import STANDARD_GRAVITY_MPS2
 from core.measurements import FloatArray
 

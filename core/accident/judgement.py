@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from core.accident.thresholds import AftermathThresholds, JudgementThresholds
+from core.accident.thresholds import AftermathThresholds
+from core.accident.weights import JudgementThresholds
 
 LEAST_MPS: Final = 0.05
 """A change beyond reach counts as no less, m/s: the logarithm's end, far below what is suspected."""
@@ -104,11 +105,7 @@ def log_odds(evidence: Evidence, limits: JudgementThresholds) -> float:
     glitch = glitch or spiked or unturned or evidence.delta_v_mps > limits.most_mps
     if _stopped_by_a_stone(evidence, limits):
         total -= limits.crawl
-    stuck = (
-        evidence.pinned
-        or evidence.clipping_s > limits.stuck_s
-        or (evidence.clipping_s > limits.still_s and _is_still(evidence, limits))
-    )
+    stuck = evidence.pinned or evidence.clipping_s > limits.stuck_s
     return min(total, limits.impossible) if glitch or stuck or evidence.fell else total
 
 
@@ -121,12 +118,6 @@ def _stopped_by_a_stone(evidence: Evidence, limits: JudgementThresholds) -> bool
     most_mps = limits.crawl_share * (evidence.speed_mps + limits.crawl_sds * limits.speed_sd_mps)
     along_mps = evidence.delta_v_mps * math.sqrt(1.0 - min(evidence.aside, 1.0) ** 2)
     return crawls and along_mps < most_mps and evidence.aside < limits.crawl_aside
-
-
-def _is_still(evidence: Evidence, limits: JudgementThresholds) -> bool:
-    """Whether nothing but the clipped axis moved, and that one by no more than a full scale's jumps."""
-    still = evidence.swing_mps < limits.still_share * evidence.delta_v_mps and evidence.abrupt < 1.0
-    return still and 0.0 < evidence.jolt_radps < limits.abrupt_radps
 
 
 def followed(odds: float, after: Aftermath, limits: JudgementThresholds, watched: AftermathThresholds) -> float:

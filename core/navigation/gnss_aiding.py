@@ -30,6 +30,7 @@ from core.navigation.state import (
     I_GNSS_USED,
     I_HANGS,
     I_REFUSED,
+    I_REFUSED_V,
     I_REJECTED,
     I_RESETS,
     N_STATES,
@@ -62,7 +63,6 @@ from core.navigation.state import (
     X_NEWEST,
     X_OPENED,
     X_Q,
-    X_REFUSED_V,
     X_REJECTED_N,
     X_RISING_N,
     X_UNSEEN,
@@ -365,11 +365,11 @@ def fuse_velocity(
         p[(VEL + 1) * n + VEL + 1] += opened_e
         x[X_OPENED + 3] += opened_n
         x[X_OPENED + 4] += opened_e
-        x[X_REFUSED_V] += 1.0
-        if x[X_REFUSED_V] >= 2.0:
+        ti[I_REFUSED_V] += 1
+        if ti[I_REFUSED_V] >= 2:
             doubt_axes(x, p, par)
         return
-    x[X_REFUSED_V] = 0.0
+    ti[I_REFUSED_V] = 0
     share = sne / snn
     decorrelate(n, ph, ph2, share)
     update_pair(p, n, ph, 1.0 / snn, nu_n, ph2, 1.0 / (see - share * sne), nu_e - share * nu_n, dx)

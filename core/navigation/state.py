@@ -95,10 +95,9 @@ X_RISING_N: Final = 137  # samples in it, 0 without one
 X_TURNED: Final = 138  # how far the vehicle has turned lately, rad
 X_AXES_VAR: Final = 139  # variance of tilt that a turn leaves, a radian, 0 until fixes contradict what came of one
 X_OPENED_TILT: Final = 140  # variance that was added to the tilt at this instant, each axis, rad2
-X_REFUSED_V: Final = 141  # velocities refused in a row
-X_NEWEST: Final = 142  # mean f_b over the last closed block, 3
-X_VERTICAL: Final = 145  # mean f_b downwards over each of the last N_BLOCKS blocks
-X_RING: Final = 155  # N_BLOCKS rows of mean f_b (3), mean omega_b (3), each over two blocks by a hat
+X_NEWEST: Final = 141  # mean f_b over the last closed block, 3
+X_VERTICAL: Final = 144  # mean f_b downwards over each of the last N_BLOCKS blocks
+X_RING: Final = 154  # N_BLOCKS rows of mean f_b (3), mean omega_b (3), each over two blocks by a hat
 N_BLOCKS: Final = 10
 NX: Final = X_RING + 6 * N_BLOCKS
 
@@ -131,7 +130,8 @@ T_REPEATED: Final = 24  # first of a run of equal ones
 T_ANCHOR: Final = 25  # of that earlier fix, 0 without one
 T_BIAS: Final = 26  # last whole second at which the biases were looked at, 0 before
 T_REFUSED_FOR: Final = 27  # how long that run has lasted, ns, without outages
-I_COUNTS: Final = 28  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
+I_REFUSED_V: Final = 28  # velocities refused in a row
+I_COUNTS: Final = 29  # how often each aid had each outcome, len(AIDS) rows of len(OUTCOMES)
 
 # Aids and outcomes, the axes of the counters.
 AIDS: Final = (

@@ -35,6 +35,7 @@ IGNITION_KNOWN: Final = 0.7
 WEAK_CLASSES: Final = (
     "frontal", "rear", "side", "oblique", "sideswipe", "low_speed", "struck_standing", "parked_hit", "hit_and_run",
 )  # fmt: skip
+"""Accidents of a single blow, which may be a weak one."""
 WEAK_MPS: Final = (0.8, 1.8)
 """Changes of velocity of weak accidents, m/s: below those of the corpus."""
 ROAD_SHAKE_MPS2: Final = (0.25, 1.6)

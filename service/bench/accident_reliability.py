@@ -11,15 +11,14 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import beta
 
-from core.accident.thresholds import JudgementThresholds
+from core.accident.weights import JudgementThresholds
 from core.measurements import FloatArray
 from core.simulation.accident_classes import CLASSES
 from core.simulation.corpus import WEAK_CLASSES, accident_case, weak_case
 from core.simulation.long_drive import PIECE_KM, drive_piece
 from core.simulation.long_script import Density
-from service.bench.accident_scoring import OURS, accident_record, listen, quiet_record
+from service.bench.accident_scoring import OURS, accident_record, listen, proportion_interval, quiet_record
 from service.bench.processes import in_processes
 from service.bench.simulated_outages import Tell
 
@@ -143,11 +142,9 @@ def diagram(rows: Sequence[tuple[float, bool, float]]) -> dict[str, Any]:
 
 
 def _interval(came: float, weight: FloatArray) -> dict[str, float]:
-    """A share with its 95 % interval (Clopper & Pearson 1934)."""
+    """A share with its 95 % interval."""
     n = float(weight.sum()) ** 2 / float(np.sum(weight * weight))
-    k = came * n
-    low = 0.0 if k < 1e-9 else float(beta.ppf(0.025, k, n - k + 1.0))
-    high = 1.0 if n - k < 1e-9 else float(beta.ppf(0.975, k + 1.0, n - k))
+    low, high = proportion_interval(came * n, n)
     return {"share": came, "low": low, "high": high}
 
 

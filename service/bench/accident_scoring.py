@@ -14,7 +14,8 @@ from scipy.stats import beta, chi2
 from core.accident.detector import ImpactDetector
 from core.accident.events import Candidate, FeltImpact, Impact, NoAccident, Status, VehicleMotion
 from core.accident.paper_rule import PaperRule
-from core.accident.thresholds import JudgementThresholds, TriggerThresholds
+from core.accident.thresholds import TriggerThresholds
+from core.accident.weights import JudgementThresholds
 from core.simulation.accident_classes import LOW_SPEED_MPS
 from core.simulation.collisions import Truth
 from core.simulation.disturbances import NonAccident
@@ -359,13 +360,20 @@ def rate(count: int, km: float) -> dict[str, float]:
 
 
 def share(outcomes: Sequence[bool] | Any) -> dict[str, float | None]:
-    """Share of true ones with its exact 95 % interval (Clopper & Pearson 1934)."""
+    """Share of true ones with its exact 95 % interval."""
     n, k = len(outcomes), int(np.sum(outcomes))
     if n == 0:
         return {"count": 0, "share": None, "missed": None, "low": None, "high": None}
-    low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
-    high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
+    low, high = proportion_interval(k, n)
     return {"count": n, "share": k / n, "missed": 1.0 - k / n, "low": low, "high": high}
+
+
+def proportion_interval(k: float, n: float) -> tuple[float, float]:
+    """Exact 95 % interval of a share of which ``k`` of ``n`` were seen (Clopper & Pearson 1934); of weighed ones
+    neither is whole."""
+    low = 0.0 if k < 1e-9 else float(beta.ppf(0.025, k, n - k + 1.0))
+    high = 1.0 if n - k < 1e-9 else float(beta.ppf(0.975, k + 1.0, n - k))
+    return low, high
 
 
 def _mean(values: Any) -> float | None:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from service.storage import schema
+from service.storage.database import open_database
 from tests.road_map import write_map
+from tests.service.engine_bench import Bench
 from tests.service.webhook_harness import Clock, Outbox
 from tests.service.webhook_receiver import WebhookReceiver
 
@@ -51,3 +54,18 @@ def built_roads(map_file):
     out = map_file.parent / "roads"
     build(map_file, out, lambda *_: None)
     return out
+
+
+@pytest.fixture
+def bench(database):
+    """An engine's database, vehicles and journal."""
+    return Bench(database)
+
+
+@pytest.fixture
+def other(tmp_path):
+    """A second one, for what must come out the same."""
+    database = open_database(f"sqlite:///{tmp_path / 'other.db'}")
+    schema.upgrade(database)
+    yield Bench(database)
+    database.dispose()

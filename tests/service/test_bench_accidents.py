@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from core.accident.events import Candidate, FeltImpact, Impact, NoAccident, Severity, Status
-from core.accident.thresholds import JudgementThresholds
+from core.accident.weights import JudgementThresholds
 from core.simulation.collisions import Truth
 from core.simulation.corpus import accident_case, quiet_case
 from core.simulation.disturbances import NonAccident
